@@ -1,0 +1,37 @@
+"""Algorithms by name; each file assembles one from parts and does nothing else."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from difflib import get_close_matches
+
+from emrld_jax.algorithms.emrld import emrld
+from emrld_jax.algorithms.emrld_ws import emrld_ws
+from emrld_jax.algorithms.maml import maml
+from emrld_jax.meta.learner import MetaLearner
+from emrld_jax.settings import Settings
+from envs_jax import Env
+
+__all__ = ["make", "names"]
+
+_ALGORITHMS: dict[str, Callable[[Env, Settings], MetaLearner]] = {
+    function.__name__: function for function in (emrld, emrld_ws, maml)
+}
+
+
+def names() -> tuple[str, ...]:
+    """The names that `make` takes."""
+    return tuple(_ALGORITHMS)
+
+
+def make(name: str, env: Env, settings: Settings) -> MetaLearner:
+    """The algorithm of this name, for an environment.
+
+    Raises:
+        ValueError: an unknown name.
+    """
+    if name not in _ALGORITHMS:
+        close = get_close_matches(name, names(), n=1)
+        meant = f"; did you mean {close[0]!r}?" if close else ""
+        raise ValueError(f"algo={name!r} is unknown{meant} (there are: {', '.join(names())})")
+    return _ALGORITHMS[name](env, settings)

@@ -1,0 +1,15 @@
+"""EMRLD: demonstrations and the policy gradient adapt, TRPO meta-learns (Rengarajan et al. 2022)."""
+
+from __future__ import annotations
+
+from emrld_jax.algorithms.parts import on_policy_steps, trpo_learner
+from emrld_jax.meta.inner import enhanced_loss
+from emrld_jax.meta.learner import MetaLearner
+from emrld_jax.settings import Settings
+from envs_jax import Env
+
+
+def emrld(env: Env, settings: Settings) -> MetaLearner:
+    """Each inner step descends on w_rl * policy gradient + w_bc * demonstrations."""
+    loss = enhanced_loss(settings.w_rl, settings.w_bc)
+    return trpo_learner(env, settings, on_policy_steps(loss, settings))

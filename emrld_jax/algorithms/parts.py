@@ -1,0 +1,47 @@
+"""The parts that all algorithms share, made from settings."""
+
+from __future__ import annotations
+
+from emrld_jax.meta.adaptation import InnerSteps
+from emrld_jax.meta.inner import InnerLoss, InnerStep
+from emrld_jax.meta.learner import MetaLearner, meta_learner
+from emrld_jax.meta.outer import surrogate_objective
+from emrld_jax.meta.trpo import trpo
+from emrld_jax.policy import gaussian_policy
+from emrld_jax.sampling.rollouts import collector
+from emrld_jax.settings import Settings
+from envs_jax import Env
+
+
+def on_policy_steps(loss: InnerLoss, settings: Settings) -> InnerSteps:
+    """`adapt.num_steps` inner steps on this loss, each on its own episodes."""
+    adapt = settings.adapt
+    step = InnerStep(loss, adapt.learning_rate, on_policy=True, first_order=adapt.first_order)
+    return (step,) * adapt.num_steps
+
+
+def trpo_learner(env: Env, settings: Settings, inner_steps: InnerSteps) -> MetaLearner:
+    """A meta-learner whose outer step is TRPO on the episodes of the adapted policies."""
+    adapt, meta, net = settings.adapt, settings.meta, settings.policy
+    policy = gaussian_policy(
+        env.observation_size,
+        env.action_size,
+        hidden_sizes=net.hidden_sizes,
+        activation=net.activation,
+        std=net.std,
+        learn_std=net.learn_std,
+    )
+    return meta_learner(
+        policy,
+        inner_steps,
+        collector(env, policy, adapt.num_episodes, adapt.discount, adapt.gae_lambda),
+        lambda policies, experience, demos: surrogate_objective(policies, experience.outer),
+        trpo(
+            max_kl=meta.max_kl,
+            cg_iterations=meta.cg_iterations,
+            damping=meta.damping,
+            backtrack_ratio=meta.backtrack_ratio,
+            max_backtracks=meta.max_backtracks,
+        ),
+        curvature_every=meta.fisher_every,
+    )

@@ -1,0 +1,60 @@
+"""Plays demonstrated actions back in the environment."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import jax
+import jax.numpy as jnp
+
+from emrld_jax.demos.archive import DemoError
+from emrld_jax.types import Demos, Task
+from envs_jax import Env, State
+
+
+def replay(env: Env, tasks: Task, demos: Demos) -> tuple[jax.Array, jax.Array]:
+    """What the demonstrated actions achieve, open loop from the first demonstrated observation.
+
+    Args:
+        env: its `reward` (sparse or dense) decides what is returned.
+        tasks: the environment's task type, [M, ..].
+        demos: [M, N, ..]; steps after the episode's end or its horizon count for nothing.
+
+    Returns:
+        Undiscounted return [M], and whether the goal was reached [M], bool.
+    """
+    if demos.obs.shape[0] == 0:
+        return jnp.zeros(0), jnp.zeros(0, bool)
+    return jax.jit(jax.vmap(lambda task, demo: _replay_one(env, task, demo)))(tasks, demos)
+
+
+def state_at(env: Env, obs: jax.Array, task: Task) -> State:
+    """The environment's state at the start of an episode that begins with `obs` [O].
+
+    Raises:
+        DemoError: the environment's physical state is more than its observation.
+    """
+    state = env.reset(jax.random.key(0), task)
+    physical = state.pipeline_state
+    name = getattr(physical, "_fields", ("",))[0]
+    if getattr(getattr(physical, name, None), "shape", None) != obs.shape:
+        raise DemoError(f"{env.name} cannot start from an observation, so nothing can be replayed")
+    return replace(state, pipeline_state=physical._replace(**{name: obs}), obs=obs)
+
+
+def _replay_one(env: Env, task: Task, demo: Demos) -> tuple[jax.Array, jax.Array]:
+    exists = demo.mask * (jnp.arange(demo.mask.shape[0]) < env.horizon)
+
+    def step(
+        carry: tuple[State, jax.Array], row: tuple[jax.Array, jax.Array]
+    ) -> tuple[tuple[State, jax.Array], tuple[jax.Array, jax.Array]]:
+        state, running = carry
+        action, exists = row
+        state = env.step(state, action)
+        counts = running * exists
+        figures = (counts * state.reward, counts * state.metrics["success"])
+        return (state, running * (1.0 - state.done)), figures
+
+    start = (state_at(env, demo.obs[0], task), jnp.ones(()))
+    _, (rewards, success) = jax.lax.scan(step, start, (demo.action, exists))
+    return jnp.sum(rewards), jnp.any(success > 0)

@@ -1,0 +1,1 @@
+"""Meta-learning: inner steps, an outer objective and an outer optimizer, in one loop."""

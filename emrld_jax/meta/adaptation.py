@@ -1,0 +1,59 @@
+"""Adaptation of the policy to one task: with episodes collected on the way, or again on stored ones."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import jax
+
+from emrld_jax.meta.inner import InnerStep
+from emrld_jax.policy import Policy
+from emrld_jax.types import Collect, Demos, Params, Rollout, Task
+
+InnerSteps = tuple[InnerStep, ...]
+Rollouts = tuple[Rollout | None, ...]  # one an inner step; None where it is not on-policy
+
+
+class Adapted(NamedTuple):
+    """What adaptation to one task made."""
+
+    params: Params
+    path: tuple[Params, ...]  # before the first inner step, between them, after the last
+    rollouts: Rollouts
+
+
+def descend(
+    policy: Policy, step: InnerStep, params: Params, rollout: Rollout | None, demos: Demos
+) -> Params:
+    """The parameters after one inner step; differentiable, through the gradient unless first-order."""
+    gradient = jax.grad(lambda p: step.loss(policy, p, rollout, demos))(params)
+    if step.first_order:
+        gradient = jax.lax.stop_gradient(gradient)
+    return jax.tree.map(lambda p, g: p - step.learning_rate * g, params, gradient)
+
+
+def adapt(
+    policy: Policy,
+    steps: InnerSteps,
+    collect: Collect,
+    params: Params,
+    key: jax.Array,
+    task: Task,
+    demos: Demos,
+) -> Adapted:
+    """Adapts to one task, collecting episodes where an inner step asks for them."""
+    path, rollouts = [params], []
+    for step, step_key in zip(steps, jax.random.split(key, len(steps)), strict=True):
+        rollout = collect(path[-1], step_key, task) if step.on_policy else None
+        path.append(descend(policy, step, path[-1], rollout, demos))
+        rollouts.append(rollout)
+    return Adapted(path[-1], tuple(path), tuple(rollouts))
+
+
+def readapt(
+    policy: Policy, steps: InnerSteps, params: Params, rollouts: Rollouts, demos: Demos
+) -> Params:
+    """Adapts to one task on stored episodes: the function of `params` that meta-learning differentiates."""
+    for step, rollout in zip(steps, rollouts, strict=True):
+        params = descend(policy, step, params, rollout, demos)
+    return params

@@ -1,0 +1,56 @@
+"""Losses of the inner step, each of one task's data, and the step that descends on them."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+
+from emrld_jax.policy import Policy, log_prob
+from emrld_jax.types import Demos, Params, Rollout
+
+# (policy, params, rollout or None, demos) -> []
+InnerLoss = Callable[[Policy, Params, Rollout | None, Demos], jax.Array]
+
+
+class InnerStep(NamedTuple):
+    """One gradient step of adaptation."""
+
+    loss: InnerLoss
+    learning_rate: float
+    on_policy: bool  # whether it collects episodes first, with the parameters it starts from
+    first_order: bool  # whether the meta-gradient ignores the dependence of its gradient on them
+
+
+def masked_mean(x: jax.Array, mask: jax.Array) -> jax.Array:
+    """The mean of x over the entries with mask 1; 0 if there are none. Any equal shapes -> []."""
+    return jnp.sum(x * mask) / jnp.maximum(jnp.sum(mask), 1.0)
+
+
+def policy_gradient_loss(policy: Policy, params: Params, rollout: Rollout) -> jax.Array:
+    """-mean(advantage * log_prob) over the steps of the task's episodes."""
+    steps = rollout.trajectory
+    density = log_prob(policy.apply(params, steps.obs), steps.action)
+    return -masked_mean(rollout.advantage * density, steps.mask)
+
+
+def demonstration_loss(policy: Policy, params: Params, demos: Demos) -> jax.Array:
+    """-mean(log_prob) over the task's demonstration steps: behavior cloning."""
+    density = log_prob(policy.apply(params, demos.obs), demos.action)
+    return -masked_mean(density, demos.mask)
+
+
+def enhanced_loss(w_rl: float, w_bc: float) -> InnerLoss:
+    """w_rl * policy gradient + w_bc * demonstrations: EMRLD's inner loss."""
+
+    def loss(policy: Policy, params: Params, rollout: Rollout | None, demos: Demos) -> jax.Array:
+        total = jnp.zeros(())
+        if rollout is not None and w_rl:
+            total += w_rl * policy_gradient_loss(policy, params, rollout)
+        if w_bc:
+            total += w_bc * demonstration_loss(policy, params, demos)
+        return total
+
+    return loss

@@ -1,0 +1,164 @@
+"""The meta-learner: collects episodes around the adaptation, then improves the meta-parameters on them."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from functools import partial
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+
+from emrld_jax.meta.adaptation import Adapted, InnerSteps, Rollouts, adapt, readapt
+from emrld_jax.meta.outer import Objective
+from emrld_jax.meta.trpo import Metrics, OuterOptimizer
+from emrld_jax.policy import Policy
+from emrld_jax.sampling.rollouts import (
+    episode_returns,
+    episode_successes,
+    gather_living,
+    living_steps,
+)
+from emrld_jax.types import Collect, Demos, Gaussian, Params, Rollout, Task
+
+# Sizes, as parts of all steps, that a batch of gathered steps is padded to: each compiles once.
+BUCKETS = (0.125, 0.25, 0.375, 0.5, 0.75, 1.0)
+
+
+class MetaState(NamedTuple):
+    """What meta-learning has learned so far."""
+
+    params: Params
+    opt_state: Any
+
+
+class Experience(NamedTuple):
+    """The episodes of one meta-iteration, with a leading [M]."""
+
+    inner: Rollouts  # that each on-policy inner step collected
+    outer: Rollout  # that the adapted policies collected
+
+
+class MetaLearner(NamedTuple):
+    """A meta-RL algorithm as functions."""
+
+    policy: Policy
+    init: Callable[[jax.Array], MetaState]  # (key)
+    # (params, key, task, demos, collect), all of one task; `collect` may be a simulation or a robot
+    adapt: Callable[[Params, jax.Array, Task, Demos, Collect], Adapted]
+    # (state, key, tasks [M], demos [M]): one meta-iteration
+    update: Callable[[MetaState, jax.Array, Task, Demos], tuple[MetaState, Metrics]]
+
+
+# (policies, experience, demos [M]) -> objective, where policies(params) are the adapted policies at the
+# outer episodes' observations, [M, S, A]
+OuterObjective = Callable[[Callable[[Params], Gaussian], Experience, Demos], Objective]
+
+
+def meta_learner(
+    policy: Policy,
+    inner_steps: InnerSteps,
+    collect: Collect,
+    outer_objective: OuterObjective,
+    optimizer: OuterOptimizer,
+    curvature_every: int = 1,
+) -> MetaLearner:
+    """Assembles a meta-learner.
+
+    The optimizer's curvature is computed on each `curvature_every`-th of the steps that exist.
+
+    A meta-iteration is two compiled programs. The first collects all episodes, without gradients. The
+    second re-adapts on them as a function of the meta-parameters, which the optimizer improves. Between
+    them the number of steps that exist is read, so that steps after an episode's end can be left out.
+    """
+    adapt_one = partial(adapt, policy, inner_steps)
+
+    def init(key: jax.Array) -> MetaState:
+        params = policy.init(key)
+        return MetaState(params, optimizer.init(params))
+
+    def gather_one(params: Params, key: jax.Array, task: Task, demos: Demos) -> Experience:
+        adapt_key, outer_key = jax.random.split(key)
+        adapted = adapt_one(collect, params, adapt_key, task, demos)
+        return Experience(adapted.rollouts, collect(adapted.params, outer_key, task))
+
+    @jax.jit
+    def gather(params: Params, keys: jax.Array, tasks: Task, demos: Demos) -> Experience:
+        return jax.vmap(gather_one, in_axes=(None, 0, 0, 0))(params, keys, tasks, demos)
+
+    @partial(jax.jit, static_argnames="sizes")
+    def improve(
+        state: MetaState, experience: Experience, demos: Demos, sizes: Experience
+    ) -> tuple[MetaState, Metrics]:
+        def objective(every: int) -> Objective:
+            steps = _gather_living(experience, sizes, every)
+            policies = _adapted_policies(policy, inner_steps, steps, demos)
+            return outer_objective(policies, steps, demos)
+
+        params, opt_state, outer = optimizer.update(
+            objective(1), objective(curvature_every), state.params, state.opt_state
+        )
+        metrics = _episode_metrics(experience)
+        return MetaState(params, opt_state), {**metrics, **outer}
+
+    def update(
+        state: MetaState, key: jax.Array, tasks: Task, demos: Demos
+    ) -> tuple[MetaState, Metrics]:
+        keys = jax.random.split(key, demos.mask.shape[0])
+        experience = gather(state.params, keys, tasks, demos)
+        sizes = jax.tree.map(bucket, experience, is_leaf=_is_rollout)
+        return improve(state, experience, demos, sizes)
+
+    return MetaLearner(
+        policy,
+        init,
+        lambda params, key, task, demos, collect: adapt_one(collect, params, key, task, demos),
+        update,
+    )
+
+
+def bucket(rollouts: Rollout) -> int:
+    """The smallest of the BUCKETS that holds every task's living steps; rollouts [M, E, T]."""
+    _, episodes, horizon = rollouts.advantage.shape
+    needed = int(jnp.max(living_steps(rollouts)))
+    return next(size for part in BUCKETS if (size := int(part * episodes * horizon)) >= needed)
+
+
+def _is_rollout(x: Any) -> bool:
+    return isinstance(x, Rollout)
+
+
+def _gather_living(experience: Experience, sizes: Experience, every: int) -> Experience:
+    """The episodes' existing steps, [M, size, ..], padded to the sizes; or a sample of them."""
+
+    def of_tasks(rollout: Rollout, size: int) -> Rollout:
+        return jax.vmap(lambda r: gather_living(r, -(-size // every), every))(rollout)
+
+    return jax.tree.map(of_tasks, experience, sizes, is_leaf=_is_rollout)
+
+
+def _adapted_policies(
+    policy: Policy, inner_steps: InnerSteps, experience: Experience, demos: Demos
+) -> Callable[[Params], Gaussian]:
+    """The adapted policies at the outer episodes' observations, as a function of the meta-parameters."""
+
+    def of_task(params: Params, inner: Rollouts, outer: Rollout, demos: Demos) -> Gaussian:
+        adapted = readapt(policy, inner_steps, params, inner, demos)
+        return policy.apply(adapted, outer.trajectory.obs)
+
+    def policies(params: Params) -> Gaussian:
+        batched = jax.vmap(of_task, in_axes=(None, 0, 0, 0))
+        return batched(params, experience.inner, experience.outer, demos)
+
+    return policies
+
+
+def _episode_metrics(experience: Experience) -> Metrics:
+    """Mean return, success and length of the episodes before each on-policy inner step, and after the last."""
+    stages = [rollout for rollout in (*experience.inner, experience.outer) if rollout is not None]
+    metrics: Metrics = {}
+    for stage, rollout in enumerate(stages):
+        metrics[f"adapt/return_{stage}"] = jnp.mean(episode_returns(rollout.trajectory))
+        metrics[f"adapt/success_{stage}"] = jnp.mean(episode_successes(rollout.trajectory))
+        metrics[f"adapt/length_{stage}"] = jnp.mean(jnp.sum(rollout.trajectory.mask, axis=-1))
+    return metrics

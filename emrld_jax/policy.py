@@ -1,0 +1,96 @@
+"""The Gaussian policy: a multilayer perceptron gives the mean, the standard deviation is fixed or learned."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+from flax import linen as nn
+
+from emrld_jax.types import Gaussian, Params
+
+ACTIVATIONS: dict[str, Callable[[jax.Array], jax.Array]] = {
+    "tanh": jnp.tanh,
+    "relu": nn.relu,
+    "silu": nn.silu,
+    "elu": nn.elu,
+    "gelu": nn.gelu,
+}
+
+
+class MLP(nn.Module):
+    """Dense layers with Xavier-uniform weights and zero biases; the last one is linear. [.., O] -> [.., sizes[-1]]."""
+
+    sizes: Sequence[int]
+    activation: str
+
+    @nn.compact
+    def __call__(self, x: jax.Array) -> jax.Array:
+        for i, size in enumerate(self.sizes):
+            x = nn.Dense(size, kernel_init=nn.initializers.xavier_uniform(), name=f"layer_{i}")(x)
+            if i < len(self.sizes) - 1:
+                x = ACTIVATIONS[self.activation](x)
+        return x
+
+
+class Policy(NamedTuple):
+    """A Gaussian policy as pure functions."""
+
+    init: Callable[[jax.Array], Params]  # (key)
+    apply: Callable[[Params, jax.Array], Gaussian]  # (params, obs [.., O])
+
+
+def gaussian_policy(
+    observation_size: int,
+    action_size: int,
+    *,
+    hidden_sizes: Sequence[int] = (100, 100),
+    activation: str = "tanh",
+    std: float = 0.5,
+    learn_std: bool = False,
+) -> Policy:
+    """A Gaussian policy whose mean is an MLP of the observation (supplement, section C).
+
+    Args:
+        std: standard deviation of every action dimension, in policy units.
+        learn_std: make the logarithm of the standard deviation a parameter, starting from `std`;
+            otherwise it is constant, as in the paper.
+    """
+    network = MLP((*hidden_sizes, action_size), activation)
+    initial = jnp.full(action_size, jnp.log(std))
+
+    def init(key: jax.Array) -> Params:
+        params: dict[str, Any] = dict(network.init(key, jnp.zeros(observation_size)))
+        return {**params, "log_std": initial} if learn_std else params
+
+    def apply(params: Params, obs: jax.Array) -> Gaussian:
+        mean = network.apply({"params": params["params"]}, obs)
+        log_std = params["log_std"] if learn_std else initial
+        return Gaussian(mean, jnp.broadcast_to(log_std, mean.shape))
+
+    return Policy(init, apply)
+
+
+def sample(gaussian: Gaussian, noise: jax.Array) -> jax.Array:
+    """The action that standard normal `noise` [.., A] makes."""
+    return gaussian.mean + jnp.exp(gaussian.log_std) * noise
+
+
+def log_prob(gaussian: Gaussian, action: jax.Array) -> jax.Array:
+    """Log-density of `action` [.., A], as the mean over action dimensions: [..].
+
+    The mean (rather than the sum) is what the paper's learning rates were chosen for.
+    """
+    z = (action - gaussian.mean) * jnp.exp(-gaussian.log_std)
+    density = -0.5 * z**2 - gaussian.log_std - 0.5 * jnp.log(2 * jnp.pi)
+    return jnp.mean(density, axis=-1)
+
+
+def kl_divergence(new: Gaussian, old: Gaussian) -> jax.Array:
+    """KL(new || old), as the mean over action dimensions: [..]."""
+    log_ratio = old.log_std - new.log_std
+    shift = (new.mean - old.mean) * jnp.exp(-old.log_std)
+    per_dimension = log_ratio + 0.5 * (jnp.exp(-2 * log_ratio) + shift**2 - 1.0)
+    return jnp.mean(per_dimension, axis=-1)

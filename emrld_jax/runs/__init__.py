@@ -1,0 +1,1 @@
+"""Runs: configuration, folders, checkpoints, metrics, pictures. Files and clocks live here."""

@@ -1,0 +1,87 @@
+"""Checkpoints of the full state of a run, written by orbax: whole or not at all."""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any, NamedTuple, Self
+
+import jax
+import orbax.checkpoint as ocp
+
+from emrld_jax.meta.learner import MetaState
+
+logging.getLogger("absl").setLevel(logging.ERROR)  # orbax tells of each file it reads
+
+
+class Progressed(NamedTuple):
+    """All that the rest of a run depends on."""
+
+    state: MetaState
+    key: jax.Array  # data of the run's key; iteration i's key is folded from it
+    iteration: int  # iterations done
+    env_steps: int  # environment steps taken
+
+
+class Checkpoints:
+    """The newest two checkpoints of a run; `read_only` leaves a run alone that may be going on."""
+
+    def __init__(self, folder: Path, *, read_only: bool = False) -> None:
+        self._folder, self._read_only = folder.absolute(), read_only
+        options = ocp.CheckpointManagerOptions(
+            max_to_keep=2, enable_async_checkpointing=False, read_only=read_only
+        )
+        self._manager = ocp.CheckpointManager(self._folder, options=options)
+
+    def save(self, progressed: Progressed) -> None:
+        """Writes a checkpoint, unless there is one of this iteration."""
+        if progressed.iteration not in self._manager.all_steps():
+            self._manager.save(progressed.iteration, args=ocp.args.StandardSave(_tree(progressed)))
+
+    def restore(self, like: Progressed, note: Callable[[str], None]) -> Progressed | None:
+        """The newest checkpoint that is whole; None if there is none.
+
+        Args:
+            like: a state of the same structure.
+            note: told of checkpoints that cannot be read; unless read-only, they are put aside.
+        """
+        for step in sorted(self._manager.all_steps(), reverse=True):
+            try:
+                args = ocp.args.StandardRestore(_tree(like))
+                tree = self._manager.restore(step, args=args)
+            except Exception as error:  # orbax raises many types for a broken file
+                reason = (str(error).splitlines() or [""])[0][:100]
+                note(f"checkpoint {step} cannot be read ({reason}); trying the one before")
+                if not self._read_only:
+                    self._put_aside(step)
+                continue
+            return Progressed(MetaState(tree["params"], tree["opt_state"]), *_rest(tree))
+        return None
+
+    def _put_aside(self, step: int) -> None:
+        """Renames a broken checkpoint, so that the run can write this step again."""
+        source, aside = self._folder / str(step), self._folder / f"broken-{step}"
+        while aside.exists():
+            aside = aside.with_name(f"{aside.name}-again")
+        source.rename(aside)
+        self._manager.reload()
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._manager.close()
+
+
+def _tree(progressed: Progressed) -> dict[str, Any]:
+    """The state under names, so that a checkpoint can be read without this package."""
+    rest = dict(zip(_REST, progressed[1:], strict=True))
+    return {"params": progressed.state.params, "opt_state": progressed.state.opt_state, **rest}
+
+
+_REST = Progressed._fields[1:]
+
+
+def _rest(tree: dict[str, Any]) -> tuple[Any, ...]:
+    return tuple(tree[name] for name in _REST)

@@ -1,0 +1,236 @@
+"""The command line: Hydra's `key=value` syntax, and one clear message for what is wrong with it."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Callable, Sequence
+from difflib import get_close_matches
+from pathlib import Path
+from typing import Any, NoReturn
+
+from hydra import compose, initialize_config_dir
+from hydra.core.config_store import ConfigStore
+from hydra.core.override_parser.overrides_parser import OverridesParser
+from hydra.core.override_parser.types import Override, OverrideType
+from hydra.errors import HydraException
+from omegaconf import OmegaConf
+from omegaconf.errors import OmegaConfBaseException
+
+from emrld_jax.demos import DemoError
+from emrld_jax.runs.config import (
+    RESUMABLE,
+    ConfigError,
+    EvaluateConfig,
+    TrainConfig,
+    check_config,
+    load_config,
+)
+from emrld_jax.runs.usage import Leaf, leaves, usage
+from emrld_jax.settings import allowed_values
+
+CONF = Path(__file__).parents[1] / "conf"
+PATHS = ("demos", "resume", "run", "runs")  # taken literally: no Hydra grammar in a path
+
+Values = dict[str, Any]
+
+
+def groups() -> dict[str, tuple[str, ...]]:
+    """The configuration groups and what each offers."""
+    folders = sorted(path for path in CONF.iterdir() if path.is_dir())
+    return {f.name: tuple(sorted(path.stem for path in f.glob("*.yaml"))) for f in folders}
+
+
+def train_config(arguments: Sequence[str]) -> TrainConfig:
+    """The configuration that the arguments of `emrld_jax.train` describe.
+
+    Raises:
+        ConfigError: names what is wrong and what is allowed.
+    """
+    values = parse(arguments, TrainConfig(), groups())
+    config: Any = _resumed(values) if values.get("resume") else _composed(arguments)
+    check_config(config)
+    return config
+
+
+def evaluate_config(arguments: Sequence[str]) -> EvaluateConfig:
+    """The configuration that the arguments of `emrld_jax.evaluate` describe.
+
+    Raises:
+        ConfigError: names what is wrong and what is allowed.
+    """
+    values = parse(arguments, EvaluateConfig(), {})
+    if not values.get("run"):
+        raise ConfigError("run=RUN_DIR is missing: the folder of the run to evaluate")
+    own = load_config(Path(values["run"]) / "config.yaml").adapt
+    config = _update(EvaluateConfig(adapt=own), values)
+    check_config(config)
+    return config
+
+
+def parse(arguments: Sequence[str], schema: Any, options: dict[str, tuple[str, ...]]) -> Values:
+    """Values by setting or group, each known and of the right type.
+
+    Args:
+        arguments: `key=value` each.
+        schema: a settings object.
+        options: what each configuration group offers.
+
+    Raises:
+        ConfigError: names what is wrong and what is allowed.
+    """
+    known = leaves(schema)
+    values: Values = {}
+    for argument in arguments:
+        override = _parse_one(argument)
+        key, value = override.key_or_group, override.value()
+        if key in options:
+            _check_option(key, value, options[key])
+        else:
+            _check_setting(argument, key, value, known, tuple(options))
+        values[key] = value
+    return values
+
+
+def run_command(main: Callable[[], int]) -> NoReturn:
+    """Runs a command and exits; what the user can mend is told in one message, no traceback."""
+    try:
+        code = main()
+    except (ConfigError, DemoError) as error:
+        print(f"error: {error}", file=sys.stderr)
+        code = 2
+    except KeyboardInterrupt:
+        print("interrupted before anything was saved", file=sys.stderr)
+        code = 130
+    sys.exit(code)
+
+
+def asks_for_help(arguments: Sequence[str]) -> bool:
+    """Whether the arguments ask what the settings are."""
+    return any(argument in ("-h", "--help", "help") for argument in arguments)
+
+
+def train_usage() -> str:
+    """The help text of `emrld_jax.train`."""
+    return usage(
+        "emrld_jax.train",
+        "Meta-train a policy with demonstrations; writes a run folder.",
+        _examples("train"),
+        train_config([]),
+        groups(),
+    )
+
+
+def evaluate_usage() -> str:
+    """The help text of `emrld_jax.evaluate`."""
+    return usage(
+        "emrld_jax.evaluate",
+        "Evaluate a run's policy after 0, 1, .. adaptation steps; writes into the run folder.",
+        _examples("evaluate"),
+        EvaluateConfig(),
+        {},
+    )
+
+
+def _examples(command: str) -> tuple[str, ...]:
+    return {
+        "train": (
+            "env=point2d",
+            "env=two_wheeled algo=emrld_ws demos=suboptimal seed=3 meta.iterations=100",
+            "env=point2d experiment=paper adapt.num_steps=2 meta.max_kl=0.02",
+            "resume=runs/point2d/emrld-optimal/seed0 meta.iterations=300",
+        ),
+        "evaluate": (
+            "run=runs/point2d/emrld-optimal/seed0",
+            "run=runs/point2d/emrld-optimal/seed0 tasks=test adapt.num_steps=3 episodes=100",
+        ),
+    }[command]
+
+
+def _parse_one(argument: str) -> Override:
+    try:
+        override = OverridesParser.create().parse_override(_quoted(argument))
+    except HydraException as error:
+        raise ConfigError(
+            f"{argument!r} is not of the form setting=value (--help lists the settings)"
+        ) from error
+    if override.type is not OverrideType.CHANGE or override.package is not None:
+        raise ConfigError(f"{argument!r}: only the form setting=value is allowed")
+    if override.is_sweep_override():
+        raise ConfigError(
+            f"{argument!r}: one value at a time (quote a text with a comma; a list is [1,2])"
+        )
+    return override
+
+
+def _quoted(argument: str) -> str:
+    """The argument, its value quoted if it is a path."""
+    key, equals, value = argument.partition("=")
+    if key not in PATHS or not equals or value[:1] in ("'", '"'):
+        return argument
+    return f"{key}='{value}'" if "'" not in value else f'{key}="{value}"'
+
+
+def _check_option(group: str, value: Any, offered: tuple[str, ...]) -> None:
+    if value not in offered:
+        hint = did_you_mean(str(value), offered)
+        raise ConfigError(f"{group}={value} is unknown{hint} (there are: {', '.join(offered)})")
+
+
+def _check_setting(
+    argument: str, key: str, value: Any, known: dict[str, Leaf], option_names: tuple[str, ...]
+) -> None:
+    if key == "env.name":
+        raise ConfigError(f"{argument}: choose an environment by env={value}, with its defaults")
+    if key not in known:
+        inside = [name for name in known if name.startswith(f"{key}.")]
+        if inside:
+            raise ConfigError(f"{argument}: {key} is a section; its settings: {', '.join(inside)}")
+        hint = did_you_mean(key, (*known, *option_names))
+        raise ConfigError(f"{argument}: there is no setting {key!r}{hint} (--help lists all)")
+    leaf = known[key]
+    if "choices" in leaf.metadata:
+        _check_option(key, value, leaf.metadata["choices"])
+    try:
+        OmegaConf.update(OmegaConf.structured(leaf.section), leaf.name, value)
+    except OmegaConfBaseException as error:
+        allowed = ", ".join(filter(None, (leaf.type_words, allowed_values(leaf.metadata))))
+        raise ConfigError(f"{argument} is not allowed: it must be {allowed}") from error
+
+
+def did_you_mean(wrong: str, known: Sequence[str]) -> str:
+    """A hint at the closest known name; empty if none is close."""
+    close = get_close_matches(wrong, known, n=1, cutoff=0.5)
+    if not close:  # the right name in the wrong section
+        close = [name for name in known if name.split(".")[-1] == wrong.split(".")[-1]][:1]
+    return f"; did you mean {close[0]!r}?" if close else ""
+
+
+def _composed(arguments: Sequence[str]) -> Any:
+    """The configuration of a new run: groups of defaults, then the arguments."""
+    ConfigStore.instance().store(name="train_schema", node=TrainConfig)
+    try:
+        with initialize_config_dir(str(CONF), version_base="1.3"):
+            overrides = [_quoted(argument) for argument in arguments]
+            return OmegaConf.to_object(compose("train", overrides=overrides))
+    except (HydraException, OmegaConfBaseException) as error:
+        raise ConfigError(str(error).splitlines()[0]) from error
+
+
+def _resumed(values: Values) -> TrainConfig:
+    """The configuration of the run to continue, with what may be changed of it."""
+    directory = values["resume"]
+    for key in values:
+        if key not in (*RESUMABLE, "resume"):
+            raise ConfigError(
+                f"{key} cannot be changed along with resume={directory}: the run continues as it "
+                f"was; allowed: {', '.join(RESUMABLE)}"
+            )
+    return _update(load_config(Path(directory) / "config.yaml"), values)
+
+
+def _update(config: Any, values: Values) -> Any:
+    """A copy of a settings object with some values changed."""
+    node = OmegaConf.structured(config)
+    for key, value in values.items():
+        OmegaConf.update(node, key, value)
+    return OmegaConf.to_object(node)

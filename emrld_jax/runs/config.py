@@ -1,0 +1,148 @@
+"""The configuration of a run, typed: what the command line sets and `config.yaml` holds."""
+
+from __future__ import annotations
+
+from dataclasses import asdict, dataclass, field, fields, is_dataclass
+from pathlib import Path
+from typing import Any
+
+import yaml
+from omegaconf import OmegaConf
+from omegaconf.errors import OmegaConfBaseException
+
+from emrld_jax import algorithms
+from emrld_jax.settings import (
+    AdaptSettings,
+    MetaSettings,
+    PolicySettings,
+    Settings,
+    check,
+    setting,
+)
+from envs_jax import Env, make, names
+from envs_jax.base import REWARDS
+
+W_RL_OPTIMAL, W_RL_SUBOPTIMAL = 0.2, 1.0  # the paper's (section C)
+RESUMABLE = ("meta.iterations", "checkpoint_every", "evaluation_episodes")
+
+
+class ConfigError(ValueError):
+    """A configuration is refused; the message names the setting and what is allowed."""
+
+
+@dataclass
+class EnvSettings:
+    """The environment."""
+
+    name: str = setting("point2d", "the environment, chosen by env=NAME", choices=names())
+    reward: str = setting(
+        "sparse", "nothing far from the goal, or minus the distance to it", choices=REWARDS
+    )
+    horizon: int = setting(100, "steps of an episode", at_least=1)
+    reward_radius: float | None = setting(
+        None, "m from the goal within which sparse reward is not 0; null: the paper's", above=0
+    )
+
+
+@dataclass
+class TrainConfig:
+    """All settings of a training run."""
+
+    algo: str = setting("emrld", "the algorithm", choices=algorithms.names())
+    demos: str = setting(
+        "optimal", "optimal or suboptimal (shipped demonstrations), or the path of a .npz file"
+    )
+    seed: int = setting(0, "seed of all random numbers", at_least=0, at_most=10**9)
+    w_rl: float | None = setting(
+        None,
+        f"weight of the policy gradient in the inner loss; null: {W_RL_OPTIMAL:g}, and "
+        f"{W_RL_SUBOPTIMAL:g} with suboptimal demonstrations",
+        at_least=0,
+    )
+    w_bc: float = setting(1.0, "weight of the demonstrations in the inner loss", at_least=0)
+    checkpoint_every: int = setting(10, "meta-iterations between checkpoints", at_least=1)
+    evaluation_episodes: int = setting(
+        50, "episodes a task, before and after adaptation, for the final table", at_least=1
+    )
+    runs: str = setting("runs", "folder that run folders are made in")
+    resume: str | None = setting(
+        None, f"run folder to continue; with it, only {', '.join(RESUMABLE)} may be given"
+    )
+    env: EnvSettings = field(default_factory=EnvSettings)
+    policy: PolicySettings = field(default_factory=PolicySettings)
+    adapt: AdaptSettings = field(default_factory=AdaptSettings)
+    meta: MetaSettings = field(default_factory=MetaSettings)
+
+
+@dataclass
+class EvaluateConfig:
+    """All settings of an evaluation of a run; `adapt` defaults to the run's own."""
+
+    run: str | None = setting(None, "run folder whose policy is evaluated; required")
+    tasks: str = setting(
+        "test", "training tasks, or the held-out ones of the run's file", choices=("train", "test")
+    )
+    episodes: int = setting(
+        100, "episodes a task, after each number of adaptation steps", at_least=1
+    )
+    deterministic: bool = setting(
+        False, "evaluate the mean action; episodes for adaptation are sampled all the same"
+    )
+    demos: str | None = setting(None, "demonstrations to adapt with; null: those of the run")
+    seed: int = setting(0, "seed of all random numbers", at_least=0, at_most=10**9)
+    adapt: AdaptSettings = field(default_factory=AdaptSettings)
+
+
+def check_config(config: Any) -> None:
+    """Refuses values that are not allowed, in all sections.
+
+    Raises:
+        ConfigError: names the setting, its value and what is allowed.
+    """
+    try:
+        check(config)
+        for item in fields(config):
+            if is_dataclass(section := getattr(config, item.name)):
+                check(section, f"{item.name}.")
+    except ValueError as error:
+        raise ConfigError(str(error)) from error
+
+
+def algorithm_settings(config: TrainConfig) -> Settings:
+    """What an algorithm is assembled from; `w_rl` must be resolved."""
+    if config.w_rl is None:
+        raise ValueError("w_rl is not resolved yet")
+    return Settings(config.w_rl, config.w_bc, config.policy, config.adapt, config.meta)
+
+
+def make_env(settings: EnvSettings) -> Env:
+    """The environment with these settings."""
+    given = {k: v for k, v in asdict(settings).items() if v is not None}
+    return make(given.pop("name"), **given)
+
+
+def default_w_rl(quality: str) -> float:
+    """The paper's weight of the policy gradient for demonstrations of this quality."""
+    return W_RL_SUBOPTIMAL if quality == "suboptimal" else W_RL_OPTIMAL
+
+
+def save_config(config: Any, path: Path) -> None:
+    """Writes a configuration as YAML, every setting explicit."""
+    path.write_text(yaml.safe_dump(asdict(config), sort_keys=False))
+
+
+def load_config(path: Path) -> TrainConfig:
+    """Reads what `save_config` wrote.
+
+    Raises:
+        ConfigError: no such file, or not a configuration.
+    """
+    if not path.is_file():
+        raise ConfigError(f"{path.parent} is not a run folder: it has no {path.name}")
+    try:
+        merged = OmegaConf.merge(OmegaConf.structured(TrainConfig), OmegaConf.load(path))
+        config = OmegaConf.to_object(merged)
+    except (OmegaConfBaseException, yaml.YAMLError, OSError, ValueError) as error:
+        raise ConfigError(f"{path}: {str(error).splitlines()[0]}") from error
+    check_config(config)
+    return config  # type: ignore[return-value]  # to_object gives the structured type back

@@ -1,0 +1,95 @@
+"""The evaluation of a run, finished or not: figures after each adaptation step, in its folder."""
+
+from __future__ import annotations
+
+from dataclasses import asdict, replace
+from pathlib import Path
+
+import jax
+from rich.console import Console
+from rich.table import Table
+
+from emrld_jax.demos import DemoSet
+from emrld_jax.runs.checkpoints import Checkpoints
+from emrld_jax.runs.config import ConfigError, EvaluateConfig, load_config, save_config
+from emrld_jax.runs.evaluation import evaluator, summarize
+from emrld_jax.runs.folder import RunFolder, new_folder
+from emrld_jax.runs.pictures import adaptation_curve, is_planar, trajectories
+from emrld_jax.runs.provenance import provenance
+from emrld_jax.runs.report import SPLITS, before_and_after, with_interval, write_whole
+from emrld_jax.runs.setup import Setup, set_up
+from emrld_jax.runs.training import initial
+from emrld_jax.types import Params
+
+
+def evaluate_run(config: EvaluateConfig, console: Console) -> int:
+    """Adapts the run's policy to each task and measures it after every step.
+
+    Returns:
+        The exit code, 0.
+
+    Raises:
+        ConfigError, DemoError: the run or its demonstrations are refused.
+    """
+    folder = RunFolder(Path(str(config.run)))
+    trained = load_config(folder.config)
+    setup = set_up(replace(trained, adapt=config.adapt, demos=config.demos or trained.demos))
+    demos: DemoSet = getattr(setup.demos, config.tasks)
+    if not demos.demos.mask.shape[0]:
+        raise ConfigError(f"tasks={config.tasks}: {setup.demos_path} has no such demonstrations")
+    params, iteration = _newest(setup, folder, console)
+    evaluate = evaluator(
+        setup.env,
+        setup.learner,
+        config.adapt,
+        config.episodes,
+        deterministic=config.deterministic,
+    )
+    evaluation = evaluate(params, jax.random.key(config.seed), demos.tasks, demos.demos)
+    results = {
+        **summarize(evaluation, config.seed),
+        "iteration": iteration,
+        "configuration": asdict(config),
+        "provenance": provenance(setup.demos_path),
+    }
+    target = new_folder(folder.evaluations / _name(config))
+    title = f"{trained.env.name}, {trained.algo}: {SPLITS[config.tasks]} tasks"
+    adaptation_curve(results["stages"], title, target / "adaptation")
+    if is_planar(setup.env):
+        panels = before_and_after(SPLITS[config.tasks], demos, evaluation)
+        trajectories(setup.env, panels, title, target / "trajectories")
+    save_config(config, target / "config.yaml")
+    write_whole(target / "evaluation.json", results)
+    console.print(_table(results["stages"], f"{title}, after {iteration} meta-iterations"))
+    console.print(f"{target}: figures and pictures", soft_wrap=True, highlight=False)
+    return 0
+
+
+def _newest(setup: Setup, folder: RunFolder, console: Console) -> tuple[Params, int]:
+    """The parameters of the run's newest checkpoint and the iterations they have had."""
+    if not folder.checkpoints.is_dir():
+        raise ConfigError(f"{folder.path} has no checkpoint yet")
+    with Checkpoints(folder.checkpoints, read_only=True) as checkpoints:
+        restored = checkpoints.restore(initial(setup), console.print)
+    if restored is None:
+        raise ConfigError(f"{folder.path} has no checkpoint yet")
+    return restored.state.params, restored.iteration
+
+
+def _name(config: EvaluateConfig) -> str:
+    mean = "-deterministic" * config.deterministic
+    steps = config.adapt.num_steps
+    return f"{config.tasks}-steps{steps}-episodes{config.episodes}-seed{config.seed}{mean}"
+
+
+def _table(stages: list[dict], title: str) -> Table:
+    table = Table(title=f"{title} (95 % intervals)")
+    for heading in ("adaptation steps", "return", "success"):
+        table.add_column(heading, justify="right")
+    for stage in stages:
+        table.add_row(
+            str(stage["adaptation_steps"]),
+            with_interval(stage, "return", ".1f"),
+            with_interval(stage, "success", ".0%"),
+        )
+    return table

@@ -1,0 +1,62 @@
+"""Run folders: where a run writes, without ever overwriting another."""
+
+from __future__ import annotations
+
+from itertools import count
+from pathlib import Path
+
+from emrld_jax.runs.config import TrainConfig
+
+
+class RunFolder:
+    """The files of one run."""
+
+    def __init__(self, path: Path) -> None:
+        self.path = path
+        self.config = path / "config.yaml"
+        self.provenance = path / "provenance.json"
+        self.metrics = path / "metrics.jsonl"
+        self.tensorboard = path / "tensorboard"
+        self.checkpoints = path / "checkpoints"
+        self.results = path / "results.json"
+        self.evaluations = path / "evaluations"
+
+    @property
+    def finished(self) -> bool:
+        """Whether the run has come to its end; its results are written last."""
+        return self.results.is_file()
+
+    @property
+    def resume_command(self) -> str:
+        """What continues the run."""
+        return f"python -m emrld_jax.train resume={self.path}"
+
+
+def new_run_folder(config: TrainConfig) -> tuple[RunFolder, str]:
+    """Makes runs/<env>/<algo>-<demos>/seed<k>/ and says what to know about it, or nothing.
+
+    If there is such a run already, the new folder's name gets a number.
+    """
+    demos = Path(config.demos).stem
+    parent = Path(config.runs) / config.env.name / f"{config.algo}-{demos}"
+    wanted = RunFolder(parent / f"seed{config.seed}")
+    path = new_folder(wanted.path)
+    if path == wanted.path:
+        return wanted, ""
+    note = f"{wanted.path} exists"
+    if not wanted.finished:
+        note += f" and is unfinished (to continue it: {wanted.resume_command})"
+    return RunFolder(path), f"{note}; this run goes to {path}"
+
+
+def new_folder(wanted: Path) -> Path:
+    """Makes the wanted folder, or the first of wanted_2, wanted_3, .. that does not exist."""
+    wanted.parent.mkdir(parents=True, exist_ok=True)
+    for number in count(1):
+        path = wanted if number == 1 else wanted.with_name(f"{wanted.name}_{number}")
+        try:
+            path.mkdir()  # fails if it exists, also between two runs that start at once
+        except FileExistsError:
+            continue
+        return path
+    raise AssertionError("count() does not end")

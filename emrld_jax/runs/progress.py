@@ -1,0 +1,71 @@
+"""What a run shows while it goes on: a bar on a terminal, else a line an iteration."""
+
+from __future__ import annotations
+
+import math
+from typing import Self
+
+from rich.console import Console
+from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
+
+from emrld_jax.runs.metrics import Record
+
+
+class ProgressView:
+    """Shows iterations `start` to `end`."""
+
+    def __init__(self, console: Console, start: int, end: int) -> None:
+        self._console, self._end = console, end
+        self._fastest: float | None = None  # s an iteration
+        columns = (
+            TextColumn("iteration"),
+            MofNCompleteColumn(),
+            BarColumn(bar_width=16),
+            TextColumn("{task.fields[figures]}"),
+            TextColumn("left"),
+            TimeRemainingColumn(),
+        )
+        self._bar = Progress(*columns, console=console, disable=not console.is_terminal)
+        self._task = self._bar.add_task("", total=end, completed=start, figures="compiling")
+
+    def show(self, record: Record) -> None:
+        done = record["iteration"] + 1
+        if self._console.is_terminal:
+            self._bar.update(self._task, completed=done, figures=figures(record))
+            return
+        self._console.print(f"iteration {done}/{self._end}  {figures(record)}{self._left(record)}")
+
+    def _left(self, record: Record) -> str:
+        """The time left, in words; empty after the first iteration, which compiles."""
+        if self._fastest is None:
+            self._fastest = math.inf
+            return ""
+        self._fastest = min(self._fastest, record["time/iteration_s"])
+        left = (self._end - record["iteration"] - 1) * self._fastest
+        return f"  {_clock(left)} left"
+
+    def __enter__(self) -> Self:
+        self._bar.start()
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._bar.stop()
+
+
+def last_stage(record: Record) -> int:
+    """Number of the last stage of adaptation that a record tells of."""
+    return max(int(name.rsplit("_", 1)[1]) for name in record if name.startswith("adapt/return_"))
+
+
+def figures(record: Record) -> str:
+    """What matters most of an iteration, in a few words."""
+    last = last_stage(record)
+    return (
+        f"return {record['adapt/return_0']:.1f} -> {record[f'adapt/return_{last}']:.1f}  "
+        f"success {record[f'adapt/success_{last}']:.0%}  KL {record['outer/kl']:.4f}"
+    )
+
+
+def _clock(seconds: float) -> str:
+    minutes, rest = divmod(round(seconds), 60)
+    return f"{minutes}:{rest:02d}"

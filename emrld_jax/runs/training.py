@@ -1,0 +1,187 @@
+"""A training run: set-up, the loop, and how it stops, fails, ends or goes on."""
+
+from __future__ import annotations
+
+import json
+import math
+import time
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+from rich.console import Console
+
+from emrld_jax.runs.checkpoints import Checkpoints, Progressed
+from emrld_jax.runs.config import ConfigError, TrainConfig, save_config
+from emrld_jax.runs.folder import RunFolder, new_run_folder
+from emrld_jax.runs.metrics import MetricsLog, Record
+from emrld_jax.runs.progress import ProgressView
+from emrld_jax.runs.provenance import provenance
+from emrld_jax.runs.report import report
+from emrld_jax.runs.setup import Setup, set_up
+from emrld_jax.runs.signals import StopSignals
+
+
+class DivergenceError(RuntimeError):
+    """Training made a number that is not finite."""
+
+
+def train(config: TrainConfig, console: Console) -> int:
+    """Trains as configured, or continues a run.
+
+    Returns:
+        The exit code: 0, 1 if training diverged, or that of the signal that stopped it.
+
+    Raises:
+        ConfigError, DemoError: the configuration or its demonstrations are refused.
+    """
+    setup = set_up(config)
+    if config.resume is None:
+        folder, progressed = _start(setup, console)
+    else:
+        folder, progressed = _continue(setup, RunFolder(Path(config.resume)), console)
+        if folder.finished:
+            _tell(console, f"{folder.path} is finished: {progressed.iteration} meta-iterations.")
+            _tell(console, f"To go on: {folder.resume_command} meta.iterations=MORE")
+            return 0
+    with StopSignals() as stop:
+        try:
+            progressed = _loop(setup, folder, progressed, stop, console)
+        except DivergenceError as error:
+            _tell(console, f"error: {error}")
+            return 1
+        if progressed.iteration < setup.config.meta.iterations:
+            _tell(console, f"Stopped after iteration {progressed.iteration}; all is saved.")
+            _tell(console, f"To go on: {folder.resume_command}")
+            return stop.exit_code
+        _, _, evaluation_key = streams(progressed.key)
+        report(setup, folder, progressed.state.params, evaluation_key, console)
+    return 0
+
+
+def streams(key_data: jax.Array) -> tuple[jax.Array, jax.Array, jax.Array]:
+    """A run's keys: of the first parameters, the iterations (folded in), the final evaluation."""
+    init_key, loop_key, evaluation_key = jax.random.split(jax.random.wrap_key_data(key_data), 3)
+    return init_key, loop_key, evaluation_key
+
+
+def initial(setup: Setup) -> Progressed:
+    """A run before its first iteration."""
+    key_data = jax.random.key_data(jax.random.key(setup.config.seed))
+    return Progressed(setup.learner.init(streams(key_data)[0]), key_data, 0, 0)
+
+
+def iterate(setup: Setup, progressed: Progressed) -> tuple[Progressed, dict[str, float]]:
+    """One meta-iteration; a function of its arguments alone, so that a resumed run is the same run.
+
+    Raises:
+        DivergenceError: a metric or a parameter is not finite.
+    """
+    state, key_data, i, env_steps = progressed
+    key = jax.random.fold_in(streams(key_data)[1], i)
+    tasks, demos = setup.demos.train.tasks, setup.demos.train.demos
+    state, arrays = setup.learner.update(state, key, tasks, demos)
+    metrics = {name: float(value) for name, value in jax.device_get(arrays).items()}
+    _check_finite(i, metrics, state.params)
+    episodes = demos.mask.shape[0] * setup.config.adapt.num_episodes
+    lengths = (value for name, value in metrics.items() if name.startswith("adapt/length_"))
+    env_steps += sum(round(length * episodes) for length in lengths)
+    return Progressed(state, key_data, i + 1, env_steps), metrics
+
+
+def _start(setup: Setup, console: Console) -> tuple[RunFolder, Progressed]:
+    folder, note = new_run_folder(setup.config)
+    if note:
+        _tell(console, note)
+    save_config(setup.config, folder.config)
+    _write_json(folder.provenance, {**provenance(setup.demos_path), "resumed": []})
+    _tell(console, f"run folder: {folder.path}")
+    return folder, initial(setup)
+
+
+def _continue(setup: Setup, folder: RunFolder, console: Console) -> tuple[RunFolder, Progressed]:
+    first, now = _read_json(folder.provenance), provenance(setup.demos_path)
+    if first["demos"]["sha256"] != now["demos"]["sha256"]:
+        raise ConfigError(
+            f"{setup.demos_path} has changed since {folder.path} began: it cannot be continued"
+        )
+    for what in ("code", "packages"):
+        if first[what] != now[what]:
+            _tell(console, f"note: not the same {what} as when the run began; results may differ")
+    progressed = initial(setup)
+    with Checkpoints(folder.checkpoints) as checkpoints:
+        restored = checkpoints.restore(progressed, lambda text: _tell(console, f"note: {text}"))
+    progressed = restored or progressed
+    iterations = setup.config.meta.iterations
+    if progressed.iteration > iterations:
+        raise ConfigError(
+            f"meta.iterations={iterations} is not allowed: {folder.path} has done "
+            f"{progressed.iteration} already"
+        )
+    if not folder.finished or progressed.iteration < iterations:
+        folder.results.unlink(missing_ok=True)
+        save_config(replace(setup.config, resume=None), folder.config)
+        _write_json(folder.provenance, {**first, "resumed": [*first["resumed"], now]})
+        _tell(console, f"continuing {folder.path} after iteration {progressed.iteration}")
+    return folder, progressed
+
+
+def _loop(
+    setup: Setup, folder: RunFolder, progressed: Progressed, stop: StopSignals, console: Console
+) -> Progressed:
+    """Iterates until the last iteration or a signal; the state that it returns is saved."""
+    config, start = setup.config, progressed.iteration
+    with (
+        Checkpoints(folder.checkpoints) as checkpoints,
+        MetricsLog(folder.metrics, folder.tensorboard, start) as log,
+        ProgressView(console, start, config.meta.iterations) as view,
+    ):
+        try:
+            while progressed.iteration < config.meta.iterations and stop.received is None:
+                began = time.perf_counter()
+                progressed, metrics = iterate(setup, progressed)
+                record = _record(progressed, metrics, time.perf_counter() - began)
+                log.write(record)
+                view.show(record)
+                if progressed.iteration % config.checkpoint_every == 0:
+                    checkpoints.save(progressed)
+        finally:  # also where it diverged: `progressed` is then the last good state
+            checkpoints.save(progressed)
+    return progressed
+
+
+def _record(progressed: Progressed, metrics: dict[str, float], seconds: float) -> Record:
+    return {
+        "iteration": progressed.iteration - 1,
+        **metrics,
+        "sampling/env_steps": progressed.env_steps,
+        "time/iteration_s": seconds,
+    }
+
+
+def _check_finite(i: int, metrics: dict[str, float], params: Any) -> None:
+    wrong = [name for name, value in metrics.items() if not math.isfinite(value)]
+    if not all(bool(jnp.isfinite(leaf).all()) for leaf in jax.tree.leaves(params)):
+        wrong.append("a parameter")
+    if wrong:
+        raise DivergenceError(
+            f"iteration {i + 1} made {', '.join(wrong)} infinite or NaN; the state before it is "
+            "saved. A smaller adapt.learning_rate or meta.max_kl may help, in a new run."
+        )
+
+
+def _tell(console: Console, text: str) -> None:
+    console.print(text, soft_wrap=True, highlight=False, markup=False)
+
+
+def _write_json(path: Path, value: Any) -> None:
+    path.write_text(json.dumps(value, indent=2) + "\n")
+
+
+def _read_json(path: Path) -> Any:
+    try:
+        return json.loads(path.read_text())
+    except (OSError, ValueError) as error:
+        raise ConfigError(f"{path} cannot be read: {error}") from error

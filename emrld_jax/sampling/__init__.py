@@ -1,0 +1,1 @@
+"""Episodes, and how much better than expected each of their actions was."""

@@ -1,0 +1,131 @@
+"""Settings that the parts take: typed, with a default, a help text and the values they allow.
+
+The same classes are the sections of the command line's configuration, so a setting is declared once.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field, fields
+from typing import Any
+
+from emrld_jax.policy import ACTIVATIONS
+
+
+def setting(
+    default: Any,
+    help: str,  # noqa: A002 - the word argparse and dataclasses' users know
+    *,
+    at_least: float | None = None,
+    above: float | None = None,
+    at_most: float | None = None,
+    below: float | None = None,
+    choices: tuple[str, ...] | None = None,
+) -> Any:
+    """A dataclass field with a help text and the values that it allows."""
+    allowed = {
+        "at_least": at_least,
+        "above": above,
+        "at_most": at_most,
+        "below": below,
+        "choices": choices,
+    }
+    metadata = {"help": help, **{k: v for k, v in allowed.items() if v is not None}}
+    if isinstance(default, list):
+        return field(default_factory=lambda: list(default), metadata=metadata)
+    return field(default=default, metadata=metadata)
+
+
+def allowed_values(metadata: Any) -> str:
+    """The values that a setting allows, in words; empty if any."""
+    if "choices" in metadata:
+        return "one of " + ", ".join(metadata["choices"])
+    words = {"at_least": "at least", "above": "above", "at_most": "at most", "below": "below"}
+    return " and ".join(f"{text} {metadata[k]:g}" for k, text in words.items() if k in metadata)
+
+
+def check(section: Any, prefix: str = "") -> None:
+    """Refuses a settings object with a value that is not allowed.
+
+    Raises:
+        ValueError: names the setting, its value and what is allowed.
+    """
+    for item in fields(section):
+        value = getattr(section, item.name)
+        for one in value if isinstance(value, list) else [value]:
+            if one is not None and not _is_allowed(one, item.metadata):
+                allowed = allowed_values(item.metadata) or "a finite number"
+                raise ValueError(f"{prefix}{item.name}={value} is not allowed: it must be {allowed}")
+
+
+def _is_allowed(value: Any, rule: Any) -> bool:
+    if "choices" in rule:
+        return value in rule["choices"]
+    if isinstance(value, bool) or not isinstance(value, int | float):
+        return True
+    return (
+        math.isfinite(value)
+        and value >= rule.get("at_least", -math.inf)
+        and value > rule.get("above", -math.inf)
+        and value <= rule.get("at_most", math.inf)
+        and value < rule.get("below", math.inf)
+    )
+
+
+@dataclass
+class PolicySettings:
+    """The Gaussian policy."""
+
+    hidden_sizes: list[int] = setting([100, 100], "units of each hidden layer", at_least=1)
+    activation: str = setting("tanh", "the hidden units' function", choices=tuple(ACTIVATIONS))
+    std: float = setting(0.5, "standard deviation of an action, in policy units", above=0)
+    learn_std: bool = setting(False, "learn the standard deviation, starting from policy.std")
+
+
+@dataclass
+class AdaptSettings:
+    """The inner step: how the policy adapts to one task."""
+
+    num_steps: int = setting(1, "gradient steps; each collects its own episodes", at_least=1)
+    num_episodes: int = setting(20, "episodes that each gradient step collects", at_least=1)
+    learning_rate: float = setting(0.01, "length of a gradient step", at_least=0)
+    warm_start_rate: float = setting(
+        0.01, "length of EMRLD-WS's first step, on the demonstrations alone", at_least=0
+    )
+    first_order: bool = setting(
+        False, "ignore in the meta-gradient how the step's gradient depends on the parameters"
+    )
+    discount: float = setting(0.95, "discount of future rewards", at_least=0, at_most=1)
+    gae_lambda: float = setting(
+        1.0, "lambda of the generalized advantage estimate", at_least=0, at_most=1
+    )
+
+
+@dataclass
+class MetaSettings:
+    """The outer step: how the meta-parameters learn over all tasks, by TRPO."""
+
+    iterations: int = setting(200, "meta-iterations", at_least=1)
+    max_kl: float = setting(
+        0.01, "largest mean KL divergence of one step, at the adapted policies", above=0
+    )
+    cg_iterations: int = setting(10, "conjugate-gradient iterations for the direction", at_least=1)
+    damping: float = setting(1e-5, "multiple of the identity added to the Fisher matrix", at_least=0)
+    fisher_every: int = setting(
+        4, "the Fisher matrix is estimated on each of these steps (1: on all of them)", at_least=1
+    )
+    backtrack_ratio: float = setting(
+        0.5, "factor by which the line search shortens a refused step", above=0, below=1
+    )
+    max_backtracks: int = setting(15, "step lengths that the line search tries", at_least=1)
+
+
+@dataclass
+class Settings:
+    """All that an algorithm is assembled from, apart from the environment."""
+
+    w_rl: float = setting(0.2, "weight of the policy gradient in the inner loss", at_least=0)
+    w_bc: float = setting(1.0, "weight of the demonstrations in the inner loss", at_least=0)
+    policy: PolicySettings = field(default_factory=PolicySettings)
+    adapt: AdaptSettings = field(default_factory=AdaptSettings)
+    meta: MetaSettings = field(default_factory=MetaSettings)

@@ -1,0 +1,93 @@
+"""What every environment is: a State, and pure functions that make and advance it."""
+
+from __future__ import annotations
+
+from typing import Any, Protocol
+
+import jax
+import jax.numpy as jnp
+from flax import struct
+
+REWARDS = ("sparse", "dense")
+
+
+@struct.dataclass
+class State:
+    """One environment's state. The field names are brax's, so brax's wrappers take it unmodified.
+
+    Attributes:
+        pipeline_state: the physical state and the step count; each environment has its own type.
+        obs: observation, shape [O].
+        reward: reward of the last step, shape [].
+        done: 1.0 if the episode ended at the last step (success or leaving the arena; never the
+            horizon, which is the rollout's business), else 0.0, shape [].
+        metrics: figures of the last step; every environment reports `success`, shape [], 0 or 1.
+        info: room for wrappers.
+        task: what varies between tasks; each environment has its own NamedTuple.
+    """
+
+    pipeline_state: Any
+    obs: jax.Array
+    reward: jax.Array
+    done: jax.Array
+    metrics: dict[str, jax.Array] = struct.field(default_factory=dict)
+    info: dict[str, Any] = struct.field(default_factory=dict)
+    task: Any = None
+
+
+class Env(Protocol):
+    """A family of tasks, as pure functions of one environment; batch them with `jax.vmap`."""
+
+    @property
+    def name(self) -> str: ...
+    @property
+    def observation_names(self) -> tuple[str, ...]: ...
+    @property
+    def observation_units(self) -> tuple[str, ...]: ...
+    @property
+    def action_names(self) -> tuple[str, ...]: ...
+    @property
+    def action_units(self) -> tuple[str, ...]: ...
+    @property
+    def action_low(self) -> tuple[float, ...]:
+        """Lower bounds of the physical action, in `action_units`; policy action -1."""
+        ...
+
+    @property
+    def action_high(self) -> tuple[float, ...]:
+        """Upper bounds of the physical action, in `action_units`; policy action +1."""
+        ...
+
+    @property
+    def reward(self) -> str: ...
+    @property
+    def horizon(self) -> int: ...
+    @property
+    def dt(self) -> float:
+        """Seconds a step."""
+        ...
+
+    @property
+    def observation_size(self) -> int: ...
+    @property
+    def action_size(self) -> int: ...
+
+    def train_tasks(self) -> Any: ...
+    def test_tasks(self) -> Any: ...
+    def sample_task(self, key: jax.Array) -> Any: ...
+    def reset(self, key: jax.Array, task: Any = None) -> State: ...
+    def step(self, state: State, action: jax.Array) -> State: ...
+    def to_physical(self, action: jax.Array) -> jax.Array: ...
+    def to_policy(self, physical_action: jax.Array) -> jax.Array: ...
+
+
+def unscale_action(action: jax.Array, low: tuple[float, ...], high: tuple[float, ...]) -> jax.Array:
+    """Maps policy units [-1, 1] linearly to physical units [low, high], without bounding. [A] -> [A]."""
+    lower, upper = jnp.asarray(low), jnp.asarray(high)
+    return lower + 0.5 * (action + 1.0) * (upper - lower)
+
+
+def scale_action(physical: jax.Array, low: tuple[float, ...], high: tuple[float, ...]) -> jax.Array:
+    """Maps physical units [low, high] linearly to policy units [-1, 1]: unscale_action's inverse. [A] -> [A]."""
+    lower, upper = jnp.asarray(low), jnp.asarray(high)
+    return 2.0 * (physical - lower) / (upper - lower) - 1.0

@@ -1,0 +1,74 @@
+"""What the goal-reaching environments share: goals on a half circle, and rewards near a goal."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+
+from envs_jax.base import REWARDS
+
+
+class GoalTask(NamedTuple):
+    """A task named by where to go."""
+
+    goal: jax.Array  # [2], m; a batch of tasks has [M, 2]
+
+
+def half_circle(degrees: jax.Array, distance: float) -> GoalTask:
+    """Goals at `distance` (m) from the origin in the directions `degrees`, shape [M] or []."""
+    radians = jnp.deg2rad(degrees)
+    return GoalTask(distance * jnp.stack([jnp.cos(radians), jnp.sin(radians)], axis=-1))
+
+
+def sample_half_circle(key: jax.Array, distance: float) -> GoalTask:
+    """One goal at `distance` (m) from the origin, its direction uniform over 0 to 180 degrees."""
+    return half_circle(jax.random.uniform(key, (), maxval=180.0), distance)
+
+
+def goal_reward(
+    kind: str,
+    distance: jax.Array,
+    success: jax.Array,
+    t: jax.Array,
+    reward_radius: float,
+    horizon: int,
+) -> jax.Array:
+    """Reward of the step numbered `t` (from 0) that ended `distance` (m) from the goal (section B.1).
+
+    Sparse: exactly 0 outside `reward_radius`, 1 - distance inside, and at success the number of steps
+    that remain, horizon - t - 1. Dense: minus the distance.
+
+    Args:
+        kind: "sparse" or "dense".
+        distance: [], m.
+        success: [], bool.
+        t: [], int.
+        reward_radius: m.
+        horizon: steps.
+
+    Returns:
+        The reward, shape [].
+    """
+    if kind == "dense":
+        return -distance
+    near = jnp.where(distance <= reward_radius, 1.0 - distance, 0.0)
+    return jnp.where(success, (horizon - t - 1).astype(distance.dtype), near)
+
+
+def check_parameters(
+    reward: str, horizon: int, reward_radius: float, **sizes: float
+) -> None:
+    """Refuses impossible environment parameters.
+
+    Raises:
+        ValueError: an unknown reward, or a horizon or size that is not positive.
+    """
+    if reward not in REWARDS:
+        raise ValueError(f"reward={reward!r} is unknown; choose one of: {', '.join(REWARDS)}")
+    if horizon < 1:
+        raise ValueError(f"horizon={horizon} must be at least 1 step")
+    for name, value in {"reward_radius": reward_radius, **sizes}.items():
+        if not 0 < value < float("inf"):
+            raise ValueError(f"{name}={value} must be a positive number of metres")
