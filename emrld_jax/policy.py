@@ -1,9 +1,9 @@
-"""The Gaussian policy: a multilayer perceptron gives the mean, the standard deviation is fixed or learned."""
+"""The Gaussian policy: an MLP gives the mean, the standard deviation is fixed or learned."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, cast
 
 import jax
 import jax.numpy as jnp
@@ -21,7 +21,10 @@ ACTIVATIONS: dict[str, Callable[[jax.Array], jax.Array]] = {
 
 
 class MLP(nn.Module):
-    """Dense layers with Xavier-uniform weights and zero biases; the last one is linear. [.., O] -> [.., sizes[-1]]."""
+    """Dense layers with Xavier-uniform weights and zero biases; the last one is linear.
+
+    [.., O] -> [.., sizes[-1]].
+    """
 
     sizes: Sequence[int]
     activation: str
@@ -66,11 +69,21 @@ def gaussian_policy(
         return {**params, "log_std": initial} if learn_std else params
 
     def apply(params: Params, obs: jax.Array) -> Gaussian:
-        mean = network.apply({"params": params["params"]}, obs)
+        mean = cast(jax.Array, network.apply({"params": params["params"]}, obs))
         log_std = params["log_std"] if learn_std else initial
         return Gaussian(mean, jnp.broadcast_to(log_std, mean.shape))
 
     return Policy(init, apply)
+
+
+def mean_action(policy: Policy) -> Policy:
+    """The same policy without its noise."""
+
+    def apply(params: Params, obs: jax.Array) -> Gaussian:
+        mean = policy.apply(params, obs).mean
+        return Gaussian(mean, jnp.full_like(mean, -jnp.inf))
+
+    return Policy(policy.init, apply)
 
 
 def sample(gaussian: Gaussian, noise: jax.Array) -> jax.Array:

@@ -1,6 +1,6 @@
 """Settings that the parts take: typed, with a default, a help text and the values they allow.
 
-The same classes are the sections of the command line's configuration, so a setting is declared once.
+The same classes are the sections of the command line's configuration: a setting is declared once.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ from emrld_jax.policy import ACTIVATIONS
 
 def setting(
     default: Any,
-    help: str,  # noqa: A002 - the word argparse and dataclasses' users know
+    help: str,  # the word that users of argparse know
     *,
     at_least: float | None = None,
     above: float | None = None,
@@ -55,7 +55,9 @@ def check(section: Any, prefix: str = "") -> None:
         for one in value if isinstance(value, list) else [value]:
             if one is not None and not _is_allowed(one, item.metadata):
                 allowed = allowed_values(item.metadata) or "a finite number"
-                raise ValueError(f"{prefix}{item.name}={value} is not allowed: it must be {allowed}")
+                raise ValueError(
+                    f"{prefix}{item.name}={value} is not allowed: it must be {allowed}"
+                )
 
 
 def _is_allowed(value: Any, rule: Any) -> bool:
@@ -110,7 +112,9 @@ class MetaSettings:
         0.01, "largest mean KL divergence of one step, at the adapted policies", above=0
     )
     cg_iterations: int = setting(10, "conjugate-gradient iterations for the direction", at_least=1)
-    damping: float = setting(1e-5, "multiple of the identity added to the Fisher matrix", at_least=0)
+    damping: float = setting(
+        1e-5, "multiple of the identity added to the Fisher matrix", at_least=0
+    )
     fisher_every: int = setting(
         4, "the Fisher matrix is estimated on each of these steps (1: on all of them)", at_least=1
     )

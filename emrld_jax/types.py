@@ -1,8 +1,8 @@
 """The types that the parts exchange.
 
-One legend for all shapes: M tasks, E episodes a task, T steps an episode (horizon), S steps of a task's
-episodes, N demonstration steps (padded), O observation size, A action size. Code is written for one task;
-a batch of tasks has a leading [M]. float32 unless said otherwise.
+One legend for all shapes: M tasks, E episodes a task, T steps an episode (horizon), S steps of a
+task's episodes, N demonstration steps (padded), O observation size, A action size. Code is written
+for one task; a batch of tasks has a leading [M]. float32 unless said otherwise.
 """
 
 from __future__ import annotations
@@ -49,5 +49,5 @@ class Gaussian(NamedTuple):
     log_std: jax.Array  # [.., A]
 
 
-# Collects a task's episodes with a policy: simulation, evaluation and a real robot take the same place.
+# Collects a task's episodes with a policy, in simulation, in an evaluation or with a real robot.
 Collect = Callable[[Params, jax.Array, Task], Rollout]  # (params, key, task)

@@ -61,6 +61,11 @@ class Env(Protocol):
     @property
     def reward(self) -> str: ...
     @property
+    def reward_radius(self) -> float:
+        """The sparse reward is 0 farther from the goal than this (m)."""
+        ...
+
+    @property
     def horizon(self) -> int: ...
     @property
     def dt(self) -> float:
@@ -82,12 +87,15 @@ class Env(Protocol):
 
 
 def unscale_action(action: jax.Array, low: tuple[float, ...], high: tuple[float, ...]) -> jax.Array:
-    """Maps policy units [-1, 1] linearly to physical units [low, high], without bounding. [A] -> [A]."""
+    """Maps policy units [-1, 1] linearly to physical ones [low, high], unbounded. [A] -> [A]."""
     lower, upper = jnp.asarray(low), jnp.asarray(high)
     return lower + 0.5 * (action + 1.0) * (upper - lower)
 
 
 def scale_action(physical: jax.Array, low: tuple[float, ...], high: tuple[float, ...]) -> jax.Array:
-    """Maps physical units [low, high] linearly to policy units [-1, 1]: unscale_action's inverse. [A] -> [A]."""
+    """Maps physical units [low, high] linearly to policy units [-1, 1]. [A] -> [A].
+
+    The inverse of `unscale_action`.
+    """
     lower, upper = jnp.asarray(low), jnp.asarray(high)
     return 2.0 * (physical - lower) / (upper - lower) - 1.0

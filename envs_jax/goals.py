@@ -35,10 +35,10 @@ def goal_reward(
     reward_radius: float,
     horizon: int,
 ) -> jax.Array:
-    """Reward of the step numbered `t` (from 0) that ended `distance` (m) from the goal (section B.1).
+    """Reward of step `t` (from 0), which ended `distance` (m) from the goal (section B.1).
 
-    Sparse: exactly 0 outside `reward_radius`, 1 - distance inside, and at success the number of steps
-    that remain, horizon - t - 1. Dense: minus the distance.
+    Sparse: exactly 0 outside `reward_radius`, 1 - distance inside, and at success the number of
+    steps that remain, horizon - t - 1. Dense: minus the distance.
 
     Args:
         kind: "sparse" or "dense".
@@ -57,9 +57,7 @@ def goal_reward(
     return jnp.where(success, (horizon - t - 1).astype(distance.dtype), near)
 
 
-def check_parameters(
-    reward: str, horizon: int, reward_radius: float, **sizes: float
-) -> None:
+def check_parameters(reward: str, horizon: int, reward_radius: float, **sizes: float) -> None:
     """Refuses impossible environment parameters.
 
     Raises:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import ClassVar, NamedTuple
 
 import jax
@@ -54,7 +54,9 @@ class Point2D:
     max_step: ClassVar[float] = 0.1  # m
 
     def __post_init__(self) -> None:
-        check_parameters(self.reward, self.horizon, self.reward_radius, goal_radius=self.goal_radius)
+        check_parameters(
+            self.reward, self.horizon, self.reward_radius, goal_radius=self.goal_radius
+        )
 
     @property
     def observation_size(self) -> int:
@@ -81,7 +83,7 @@ class Point2D:
         return task.goal
 
     def to_physical(self, action: jax.Array) -> jax.Array:
-        """Policy action [2] -> displacement [2] in m, its norm bounded to 0.1 by radial projection."""
+        """Policy action [2] -> displacement [2] in m, its norm bounded to 0.1 by projection."""
         displacement = unscale_action(action, self.action_low, self.action_high)
         norm = jnp.sqrt(jnp.maximum(jnp.sum(displacement**2), 1e-12))
         return displacement * jnp.minimum(1.0, self.max_step / norm)
@@ -104,9 +106,12 @@ class Point2D:
         position = point.position + self.to_physical(action)
         distance = jnp.linalg.norm(position - state.task.goal)
         success = distance <= self.goal_radius
-        reward = goal_reward(self.reward, distance, success, point.t, self.reward_radius, self.horizon)
+        reward = goal_reward(
+            self.reward, distance, success, point.t, self.reward_radius, self.horizon
+        )
         done = success.astype(position.dtype)
-        return state.replace(
+        return replace(
+            state,
             pipeline_state=Point(position, point.t + 1),
             obs=position,
             reward=reward,

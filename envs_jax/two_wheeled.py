@@ -1,4 +1,4 @@
-"""TwoWheeled: a differential-drive robot drives to a goal on a half circle (supplement, section B.1)."""
+"""TwoWheeled: a differential-drive robot drives to a goal on a half circle (section B.1)."""
 
 from __future__ import annotations
 

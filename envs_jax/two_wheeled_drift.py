@@ -1,4 +1,4 @@
-"""TwoWheeled drift: the goal is fixed; the task sets how the robot turns by itself (section B.1)."""
+"""TwoWheeled drift: the goal is fixed, the robot turns by itself as the task says (section B.1)."""
 
 from __future__ import annotations
 
@@ -34,10 +34,10 @@ class TwoWheeledDrift(DifferentialDrive):
         return DriftTask(jnp.linspace(-self.max_residual, self.max_residual, 24))
 
     def test_tasks(self) -> DriftTask:
-        """The midpoints of 24 equal parts of [-0.7, 0.7], then -0.65; residual_angular_velocity [25]."""
+        """Midpoints of 24 parts of [-0.7, 0.7], then -0.65; residual_angular_velocity [25]."""
         width = 2 * self.max_residual / 24
         midpoints = -self.max_residual + width * (jnp.arange(24) + 0.5)
-        return DriftTask(jnp.append(midpoints, self.robot_experiment))
+        return DriftTask(jnp.append(midpoints, jnp.float32(self.robot_experiment)))
 
     def sample_task(self, key: jax.Array) -> DriftTask:
         """A residual uniform over [-0.7, 0.7]."""

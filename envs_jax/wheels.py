@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, ClassVar, NamedTuple
 
 import jax
@@ -121,7 +121,8 @@ class DifferentialDrive:
         success = jnp.all(jnp.abs(offset) <= self.goal_half_width)
         outside = jnp.any(jnp.abs(pose[:2]) > self.arena)
         metrics = {"success": success.astype(pose.dtype), "distance": distance}
-        return state.replace(
+        return replace(
+            state,
             pipeline_state=Robot(pose, robot.t + 1),
             obs=pose,
             reward=goal_reward(

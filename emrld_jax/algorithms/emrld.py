@@ -1,4 +1,4 @@
-"""EMRLD: demonstrations and the policy gradient adapt, TRPO meta-learns (Rengarajan et al. 2022)."""
+"""EMRLD: demonstrations and the policy gradient adapt, TRPO learns (Rengarajan et al. 2022)."""
 
 from __future__ import annotations
 

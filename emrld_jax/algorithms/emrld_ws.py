@@ -1,4 +1,4 @@
-"""EMRLD-WS: EMRLD with a warm start, a first step on the demonstrations alone (Rengarajan et al. 2022)."""
+"""EMRLD-WS: EMRLD after a warm start on the demonstrations alone (Rengarajan et al. 2022)."""
 
 from __future__ import annotations
 
@@ -10,9 +10,9 @@ from envs_jax import Env
 
 
 def emrld_ws(env: Env, settings: Settings) -> MetaLearner:
-    """A demonstrations-only step of weight 1, then EMRLD's steps on the warm-started policy's episodes.
+    """A demonstrations-only step of weight 1, then EMRLD's steps.
 
-    The meta-gradient goes through all of them.
+    These use the warm-started policy's episodes. The meta-gradient goes through all steps.
     """
     adapt = settings.adapt
     warm_start = InnerStep(

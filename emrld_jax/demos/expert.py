@@ -1,15 +1,15 @@
-"""Goal-conditioned experts: one policy for all tasks of an environment, trained by TRPO (supplement, section C).
+"""Goal-conditioned experts: one policy for all tasks, trained by TRPO (supplement, section C).
 
-The task's vector is appended to the observation; a value network, which also sees the time, gives the
-advantages. Training starts on the dense reward, which shows the way from anywhere, and may go on with the sparse one,
-which asks for speed and precision.
+The task's vector is appended to the observation; a value network, which also sees the time, gives
+the advantages. Training starts on the dense reward, which shows the way from anywhere, and may go
+on with the sparse one, which asks for speed and precision.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable
 from functools import partial
-from typing import NamedTuple
+from typing import NamedTuple, cast
 
 import jax
 import jax.numpy as jnp
@@ -60,16 +60,6 @@ def conditioned(policy: Policy, task: Task) -> Policy:
     return Policy(policy.init, lambda params, obs: policy.apply(params, append_task(obs, task)))
 
 
-def mean_action(policy: Policy) -> Policy:
-    """The same policy without its noise."""
-
-    def apply(params: Params, obs: jax.Array) -> Gaussian:
-        mean, log_std = policy.apply(params, obs)
-        return Gaussian(mean, jnp.full_like(log_std, -jnp.inf))
-
-    return Policy(policy.init, apply)
-
-
 def value_inputs(obs: jax.Array, task: Task) -> jax.Array:
     """What the value network sees of one task's episodes. [E, T, O] -> [E, T, O + K + 1]."""
     horizon = obs.shape[-2]
@@ -110,7 +100,8 @@ def expert(
         return ExpertState(policy.init(policy_key), value, adam.init(value))
 
     def values(params: Params, obs: jax.Array, task: Task) -> jax.Array:
-        return scale * network.apply(params, value_inputs(obs, task))[..., 0]
+        outputs = cast(jax.Array, network.apply(params, value_inputs(obs, task)))
+        return scale * outputs[..., 0]
 
     def collect(state: ExpertState, key: jax.Array, task: Task) -> tuple[Trajectory, jax.Array]:
         """One task's episodes, [E, T, ..], and their advantages, [E, T]."""

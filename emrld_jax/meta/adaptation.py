@@ -1,4 +1,4 @@
-"""Adaptation of the policy to one task: with episodes collected on the way, or again on stored ones."""
+"""Adaptation of the policy to one task: collecting episodes on the way, or again on stored ones."""
 
 from __future__ import annotations
 
@@ -25,7 +25,10 @@ class Adapted(NamedTuple):
 def descend(
     policy: Policy, step: InnerStep, params: Params, rollout: Rollout | None, demos: Demos
 ) -> Params:
-    """The parameters after one inner step; differentiable, through the gradient unless first-order."""
+    """The parameters after one inner step.
+
+    Differentiable in `params`, through the gradient too unless the step is first-order.
+    """
     gradient = jax.grad(lambda p: step.loss(policy, p, rollout, demos))(params)
     if step.first_order:
         gradient = jax.lax.stop_gradient(gradient)
@@ -53,7 +56,7 @@ def adapt(
 def readapt(
     policy: Policy, steps: InnerSteps, params: Params, rollouts: Rollouts, demos: Demos
 ) -> Params:
-    """Adapts to one task on stored episodes: the function of `params` that meta-learning differentiates."""
+    """Adapts to one task on stored episodes: what meta-learning differentiates in `params`."""
     for step, rollout in zip(steps, rollouts, strict=True):
         params = descend(policy, step, params, rollout, demos)
     return params

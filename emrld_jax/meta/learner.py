@@ -1,4 +1,4 @@
-"""The meta-learner: collects episodes around the adaptation, then improves the meta-parameters on them."""
+"""The meta-learner: collects episodes around the adaptation, then improves on them."""
 
 from __future__ import annotations
 
@@ -50,8 +50,8 @@ class MetaLearner(NamedTuple):
     update: Callable[[MetaState, jax.Array, Task, Demos], tuple[MetaState, Metrics]]
 
 
-# (policies, experience, demos [M]) -> objective, where policies(params) are the adapted policies at the
-# outer episodes' observations, [M, S, A]
+# (policies, experience, demos [M]) -> objective, where policies(params) are the adapted policies at
+# the outer episodes' observations, [M, S, A]
 OuterObjective = Callable[[Callable[[Params], Gaussian], Experience, Demos], Objective]
 
 
@@ -67,9 +67,10 @@ def meta_learner(
 
     The optimizer's curvature is computed on each `curvature_every`-th of the steps that exist.
 
-    A meta-iteration is two compiled programs. The first collects all episodes, without gradients. The
-    second re-adapts on them as a function of the meta-parameters, which the optimizer improves. Between
-    them the number of steps that exist is read, so that steps after an episode's end can be left out.
+    A meta-iteration is two compiled programs. The first collects all episodes, without gradients.
+    The second re-adapts on them as a function of the meta-parameters, which the optimizer improves.
+    Between them the number of steps that exist is read, so that steps after an episode's end can be
+    left out.
     """
     adapt_one = partial(adapt, policy, inner_steps)
 
@@ -140,7 +141,7 @@ def _gather_living(experience: Experience, sizes: Experience, every: int) -> Exp
 def _adapted_policies(
     policy: Policy, inner_steps: InnerSteps, experience: Experience, demos: Demos
 ) -> Callable[[Params], Gaussian]:
-    """The adapted policies at the outer episodes' observations, as a function of the meta-parameters."""
+    """The adapted policies at the outer episodes' observations, of the meta-parameters."""
 
     def of_task(params: Params, inner: Rollouts, outer: Rollout, demos: Demos) -> Gaussian:
         adapted = readapt(policy, inner_steps, params, inner, demos)
@@ -154,7 +155,10 @@ def _adapted_policies(
 
 
 def _episode_metrics(experience: Experience) -> Metrics:
-    """Mean return, success and length of the episodes before each on-policy inner step, and after the last."""
+    """Mean return, success and length of each stage's episodes.
+
+    Stage k comes before the on-policy inner step k (from 0), the last stage after the last step.
+    """
     stages = [rollout for rollout in (*experience.inner, experience.outer) if rollout is not None]
     metrics: Metrics = {}
     for stage, rollout in enumerate(stages):

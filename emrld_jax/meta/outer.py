@@ -1,4 +1,4 @@
-"""Outer objectives: functions of the meta-parameters, through the adaptation, over a batch of tasks."""
+"""Outer objectives: functions of the meta-parameters, through the adaptation, over many tasks."""
 
 from __future__ import annotations
 
@@ -16,8 +16,8 @@ from emrld_jax.types import Gaussian, Params, Rollout
 class Objective(NamedTuple):
     """A loss of a model's outputs, and how far outputs are from the old ones.
 
-    Keeping the outputs in sight lets an optimizer linearize the model once, and use the curvature that
-    the divergence has in them (Gauss-Newton).
+    Keeping the outputs in sight lets an optimizer linearize the model once, and use the curvature
+    that the divergence has in them (Gauss-Newton).
     """
 
     outputs: Callable[[Params], Any]
@@ -36,7 +36,7 @@ def surrogate_objective(policies: Callable[[Params], Gaussian], rollouts: Rollou
     """The TRPO surrogate with the KL divergence, averaged over a leading axis of tasks.
 
     Args:
-        policies: the policies at the rollouts' observations as a function of the parameters, [M, S, A].
+        policies: the policies at the rollouts' observations, of the parameters, [M, S, A].
         rollouts: fields [M, S, ..].
     """
     mask = rollouts.trajectory.mask

@@ -1,4 +1,7 @@
-"""Trust region policy optimization (Schulman et al. 2015): a direction by conjugate gradient, a step by line search."""
+"""Trust region policy optimization (Schulman et al. 2015).
+
+Conjugate gradient finds the direction, a line search the length of the step.
+"""
 
 from __future__ import annotations
 
@@ -19,8 +22,9 @@ class OuterOptimizer(NamedTuple):
     """Something that improves parameters on an objective, as pure functions."""
 
     init: Callable[[Params], Any]  # (params) -> opt_state
-    # (objective, curvature, params, opt_state) -> (params, opt_state, metrics), where `curvature` is the
-    # same objective, perhaps on a sample of the data, for optimizers that use second derivatives
+    # (objective, curvature, params, opt_state) -> (params, opt_state, metrics), where `curvature`
+    # is the same objective, perhaps on a sample of the data, for optimizers that use second
+    # derivatives
     update: Callable[[Objective, Objective, Params, Any], tuple[Params, Any, Metrics]]
 
 
@@ -39,7 +43,8 @@ def conjugate_gradient(
 ) -> tuple[jax.Array, jax.Array]:
     """x near the solution of A x = b for a symmetric positive definite A, and the residual b - A x.
 
-    Starts from 0. An iteration after convergence (or where rounding lost positive curvature) changes nothing.
+    Starts from 0. An iteration after convergence (or where rounding lost positive curvature)
+    changes nothing.
 
     Args:
         product: v -> A v, [P] -> [P].
@@ -72,7 +77,9 @@ def line_search(
     ratio: float,
     max_tries: int,
 ) -> Line:
-    """The first of params + step * ratio^k, k < max_tries, whose loss falls below `loss` with KL under max_kl.
+    """The first of params + step * ratio^k, k < max_tries, that is accepted, else the last.
+
+    Accepted is one whose loss falls below `loss` with a KL under max_kl.
 
     Args:
         evaluate: parameters [P] -> (loss [], KL []).
@@ -103,11 +110,12 @@ def trpo(
     backtrack_ratio: float = 0.5,
     max_backtracks: int = 15,
 ) -> OuterOptimizer:
-    """One step that lowers the loss while the KL divergence from where it starts stays under max_kl.
+    """One step that lowers the loss while the KL divergence from its start stays under max_kl.
 
-    At the start the KL's Hessian is its Gauss-Newton form J' H J, with J the Jacobian of the outputs and H
-    the Hessian of the divergence in them. So the outputs are linearized once, and each of the conjugate
-    gradient's products costs one Jacobian-vector and one vector-Jacobian product.
+    At the start the KL's Hessian is its Gauss-Newton form J' H J, with J the Jacobian of the
+    outputs and H the Hessian of the divergence in them. So the outputs are linearized once, and
+    each of the conjugate gradient's products costs one Jacobian-vector and one vector-Jacobian
+    product.
 
     If no step on the line is accepted, the parameters stay.
     """
@@ -145,7 +153,7 @@ def trpo(
 def fisher_product(
     objective: Objective, flat: jax.Array, unravel: Callable[[jax.Array], Params], damping: float
 ) -> Callable[[jax.Array], jax.Array]:
-    """v -> (F + damping) v, [P] -> [P], with F the divergence's Gauss-Newton matrix at the parameters `flat`."""
+    """v -> (F + damping) v, [P] -> [P], with F the divergence's Gauss-Newton matrix at `flat`."""
     old, push = jax.linearize(lambda x: objective.outputs(unravel(x)), flat)
     pull = jax.linear_transpose(push, flat)
     slope = jax.grad(objective.divergence)

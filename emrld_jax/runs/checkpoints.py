@@ -8,6 +8,8 @@ from pathlib import Path
 from typing import Any, NamedTuple, Self
 
 import jax
+import jax.numpy as jnp
+import numpy as np
 import orbax.checkpoint as ocp
 
 from emrld_jax.meta.learner import MetaState
@@ -49,7 +51,7 @@ class Checkpoints:
         for step in sorted(self._manager.all_steps(), reverse=True):
             try:
                 args = ocp.args.StandardRestore(_tree(like))
-                tree = self._manager.restore(step, args=args)
+                tree = jax.tree.map(_uncommitted, self._manager.restore(step, args=args))
             except Exception as error:  # orbax raises many types for a broken file
                 reason = (str(error).splitlines() or [""])[0][:100]
                 note(f"checkpoint {step} cannot be read ({reason}); trying the one before")
@@ -74,13 +76,18 @@ class Checkpoints:
         self._manager.close()
 
 
+_REST = Progressed._fields[1:]
+
+
 def _tree(progressed: Progressed) -> dict[str, Any]:
     """The state under names, so that a checkpoint can be read without this package."""
     rest = dict(zip(_REST, progressed[1:], strict=True))
     return {"params": progressed.state.params, "opt_state": progressed.state.opt_state, **rest}
 
 
-_REST = Progressed._fields[1:]
+def _uncommitted(leaf: Any) -> Any:
+    """As the first iterations had it: orbax pins arrays to a device, which compiles anew."""
+    return jnp.asarray(np.asarray(leaf)) if isinstance(leaf, jax.Array) else leaf
 
 
 def _rest(tree: dict[str, Any]) -> tuple[Any, ...]:

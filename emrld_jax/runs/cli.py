@@ -29,7 +29,7 @@ from emrld_jax.runs.usage import Leaf, leaves, usage
 from emrld_jax.settings import allowed_values
 
 CONF = Path(__file__).parents[1] / "conf"
-PATHS = ("demos", "resume", "run", "runs")  # taken literally: no Hydra grammar in a path
+PATHS = ("demos", "out", "resume", "run", "runs")  # taken literally: no Hydra grammar in a path
 
 Values = dict[str, Any]
 
@@ -62,7 +62,7 @@ def evaluate_config(arguments: Sequence[str]) -> EvaluateConfig:
     if not values.get("run"):
         raise ConfigError("run=RUN_DIR is missing: the folder of the run to evaluate")
     own = load_config(Path(values["run"]) / "config.yaml").adapt
-    config = _update(EvaluateConfig(adapt=own), values)
+    config = updated(EvaluateConfig(adapt=own), values)
     check_config(config)
     return config
 
@@ -201,7 +201,8 @@ def did_you_mean(wrong: str, known: Sequence[str]) -> str:
     """A hint at the closest known name; empty if none is close."""
     close = get_close_matches(wrong, known, n=1, cutoff=0.5)
     if not close:  # the right name in the wrong section
-        close = [name for name in known if name.split(".")[-1] == wrong.split(".")[-1]][:1]
+        _, _, last = wrong.rpartition(".")
+        close = [name for name in known if name.endswith(f".{last}")][:1]
     return f"; did you mean {close[0]!r}?" if close else ""
 
 
@@ -219,16 +220,17 @@ def _composed(arguments: Sequence[str]) -> Any:
 def _resumed(values: Values) -> TrainConfig:
     """The configuration of the run to continue, with what may be changed of it."""
     directory = values["resume"]
+    config = load_config(Path(directory) / "config.yaml")
     for key in values:
         if key not in (*RESUMABLE, "resume"):
             raise ConfigError(
                 f"{key} cannot be changed along with resume={directory}: the run continues as it "
                 f"was; allowed: {', '.join(RESUMABLE)}"
             )
-    return _update(load_config(Path(directory) / "config.yaml"), values)
+    return updated(config, values)
 
 
-def _update(config: Any, values: Values) -> Any:
+def updated(config: Any, values: Values) -> Any:
     """A copy of a settings object with some values changed."""
     node = OmegaConf.structured(config)
     for key, value in values.items():

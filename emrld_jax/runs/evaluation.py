@@ -10,7 +10,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from emrld_jax.meta.learner import MetaLearner
-from emrld_jax.policy import Policy
+from emrld_jax.policy import mean_action
 from emrld_jax.sampling.rollouts import (
     collector,
     episode,
@@ -18,7 +18,7 @@ from emrld_jax.sampling.rollouts import (
     episode_successes,
 )
 from emrld_jax.settings import AdaptSettings
-from emrld_jax.types import Demos, Gaussian, Params, Task
+from emrld_jax.types import Demos, Params, Task
 from envs_jax import Env
 
 RESAMPLES = 2000  # of the bootstrap
@@ -54,7 +54,7 @@ def evaluator(
         deterministic: roll out the mean action; adaptation samples its episodes all the same.
     """
     policy = learner.policy
-    rolled = mean_policy(policy) if deterministic else policy
+    rolled = mean_action(policy) if deterministic else policy
     collect = collector(env, policy, adapt.num_episodes, adapt.discount, adapt.gae_lambda)
 
     def stage(params: Params, key: jax.Array, task: Task) -> Evaluation:
@@ -81,16 +81,6 @@ def evaluator(
         return jax.vmap(of_task, in_axes=(None, 0, 0, 0))(params, keys, tasks, demos)
 
     return evaluate
-
-
-def mean_policy(policy: Policy) -> Policy:
-    """The policy without its noise."""
-
-    def apply(params: Params, obs: jax.Array) -> Gaussian:
-        mean = policy.apply(params, obs).mean
-        return Gaussian(mean, jnp.full_like(mean, -jnp.inf))
-
-    return Policy(policy.init, apply)
 
 
 def bootstrap_interval(values: np.ndarray, seed: int, level: float = 0.95) -> tuple[float, float]:

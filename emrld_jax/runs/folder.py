@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+import fcntl
+from collections.abc import Iterator
+from contextlib import contextmanager
 from itertools import count
 from pathlib import Path
 
-from emrld_jax.runs.config import TrainConfig
+from emrld_jax.runs.config import ConfigError, TrainConfig
 
 
 class RunFolder:
@@ -30,6 +33,20 @@ class RunFolder:
     def resume_command(self) -> str:
         """What continues the run."""
         return f"python -m emrld_jax.train resume={self.path}"
+
+    @contextmanager
+    def locked(self) -> Iterator[None]:
+        """Keeps other processes from training in this folder; a killed one releases it too.
+
+        Raises:
+            ConfigError: another process trains in it.
+        """
+        with (self.path / ".lock").open("w") as file:
+            try:
+                fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            except BlockingIOError as error:
+                raise ConfigError(f"another process is training in {self.path}") from error
+            yield
 
 
 def new_run_folder(config: TrainConfig) -> tuple[RunFolder, str]:

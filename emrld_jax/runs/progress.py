@@ -28,20 +28,20 @@ class ProgressView:
         self._bar = Progress(*columns, console=console, disable=not console.is_terminal)
         self._task = self._bar.add_task("", total=end, completed=start, figures="compiling")
 
-    def show(self, record: Record) -> None:
-        done = record["iteration"] + 1
+    def show(self, done: int, figures: str, seconds: float) -> None:
+        """Tells that `done` iterations are done, the last in this time, with its figures."""
         if self._console.is_terminal:
-            self._bar.update(self._task, completed=done, figures=figures(record))
+            self._bar.update(self._task, completed=done, figures=figures)
             return
-        self._console.print(f"iteration {done}/{self._end}  {figures(record)}{self._left(record)}")
+        self._console.print(f"iteration {done}/{self._end}  {figures}{self._left(done, seconds)}")
 
-    def _left(self, record: Record) -> str:
+    def _left(self, done: int, seconds: float) -> str:
         """The time left, in words; empty after the first iteration, which compiles."""
         if self._fastest is None:
             self._fastest = math.inf
             return ""
-        self._fastest = min(self._fastest, record["time/iteration_s"])
-        left = (self._end - record["iteration"] - 1) * self._fastest
+        self._fastest = min(self._fastest, seconds)
+        left = (self._end - done) * self._fastest
         return f"  {_clock(left)} left"
 
     def __enter__(self) -> Self:

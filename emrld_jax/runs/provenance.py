@@ -14,6 +14,7 @@ from typing import Any
 
 import jax
 
+CODE = (".", "../envs_jax")  # what decides results, seen from this package
 PACKAGES = ("emrld-jax", "jax", "jaxlib", "flax", "optax", "orbax-checkpoint", "numpy")
 
 
@@ -22,16 +23,28 @@ def provenance(demos: Path) -> dict[str, Any]:
     return {
         "time": datetime.now(UTC).isoformat(timespec="seconds"),
         "command": [Path(sys.argv[0]).name, *sys.argv[1:]],
+        **software(),
+        "machine": machine(),
+        "demos": {"path": str(demos), "sha256": sha256(demos)},
+    }
+
+
+def software() -> dict[str, Any]:
+    """The code's commit and the versions of what it stands on."""
+    return {
         "code": code_version(),
         "python": platform.python_version(),
         "packages": {name: _version(name) for name in PACKAGES},
-        "machine": {
-            "platform": platform.platform(),
-            "cpu": _cpu(),
-            "cores": os.cpu_count(),
-            "device": jax.devices()[0].device_kind,
-        },
-        "demos": {"path": str(demos), "sha256": sha256(demos)},
+    }
+
+
+def machine() -> dict[str, Any]:
+    """What the process runs on."""
+    return {
+        "platform": platform.platform(),
+        "cpu": _cpu(),
+        "cores": os.cpu_count(),
+        "device": jax.devices()[0].device_kind,
     }
 
 
@@ -43,7 +56,7 @@ def code_version() -> dict[str, Any]:
     commit = _git(package, "rev-parse", "HEAD") if tracked else None
     if commit is None:
         return {"commit": "unknown", "dirty": None}
-    return {"commit": commit, "dirty": bool(_git(package, "status", "--porcelain"))}
+    return {"commit": commit, "dirty": bool(_git(package, "status", "--porcelain", "--", *CODE))}
 
 
 def sha256(path: Path) -> str:
@@ -54,7 +67,11 @@ def sha256(path: Path) -> str:
 def _git(folder: Path, *arguments: str) -> str | None:
     try:
         done = subprocess.run(
-            ["git", "-C", str(folder), *arguments], capture_output=True, text=True, timeout=10
+            ["git", "-C", str(folder), *arguments],
+            check=False,
+            capture_output=True,
+            text=True,
+            timeout=10,
         )
     except (OSError, subprocess.TimeoutExpired):
         return None

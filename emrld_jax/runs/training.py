@@ -17,7 +17,7 @@ from emrld_jax.runs.checkpoints import Checkpoints, Progressed
 from emrld_jax.runs.config import ConfigError, TrainConfig, save_config
 from emrld_jax.runs.folder import RunFolder, new_run_folder
 from emrld_jax.runs.metrics import MetricsLog, Record
-from emrld_jax.runs.progress import ProgressView
+from emrld_jax.runs.progress import ProgressView, figures
 from emrld_jax.runs.provenance import provenance
 from emrld_jax.runs.report import report
 from emrld_jax.runs.setup import Setup, set_up
@@ -38,19 +38,20 @@ def train(config: TrainConfig, console: Console) -> int:
         ConfigError, DemoError: the configuration or its demonstrations are refused.
     """
     setup = set_up(config)
-    if config.resume is None:
-        folder, progressed = _start(setup, console)
-    else:
-        folder, progressed = _continue(setup, RunFolder(Path(config.resume)), console)
+    folder = _folder(setup, console)
+    with StopSignals() as stop, folder.locked():
+        if config.resume is None:
+            progressed = _start(setup, folder, console)
+        else:
+            progressed = _continue(setup, folder, console)
         if folder.finished:
             _tell(console, f"{folder.path} is finished: {progressed.iteration} meta-iterations.")
             _tell(console, f"To go on: {folder.resume_command} meta.iterations=MORE")
             return 0
-    with StopSignals() as stop:
         try:
             progressed = _loop(setup, folder, progressed, stop, console)
         except DivergenceError as error:
-            _tell(console, f"error: {error}")
+            _tell(Console(stderr=True), f"error: {error}")
             return 1
         if progressed.iteration < setup.config.meta.iterations:
             _tell(console, f"Stopped after iteration {progressed.iteration}; all is saved.")
@@ -91,17 +92,24 @@ def iterate(setup: Setup, progressed: Progressed) -> tuple[Progressed, dict[str,
     return Progressed(state, key_data, i + 1, env_steps), metrics
 
 
-def _start(setup: Setup, console: Console) -> tuple[RunFolder, Progressed]:
+def _folder(setup: Setup, console: Console) -> RunFolder:
+    """The folder of the run to continue, or a new one."""
+    if setup.config.resume is not None:
+        return RunFolder(Path(setup.config.resume))
     folder, note = new_run_folder(setup.config)
     if note:
         _tell(console, note)
+    return folder
+
+
+def _start(setup: Setup, folder: RunFolder, console: Console) -> Progressed:
     save_config(setup.config, folder.config)
     _write_json(folder.provenance, {**provenance(setup.demos_path), "resumed": []})
     _tell(console, f"run folder: {folder.path}")
-    return folder, initial(setup)
+    return initial(setup)
 
 
-def _continue(setup: Setup, folder: RunFolder, console: Console) -> tuple[RunFolder, Progressed]:
+def _continue(setup: Setup, folder: RunFolder, console: Console) -> Progressed:
     first, now = _read_json(folder.provenance), provenance(setup.demos_path)
     if first["demos"]["sha256"] != now["demos"]["sha256"]:
         raise ConfigError(
@@ -125,7 +133,7 @@ def _continue(setup: Setup, folder: RunFolder, console: Console) -> tuple[RunFol
         save_config(replace(setup.config, resume=None), folder.config)
         _write_json(folder.provenance, {**first, "resumed": [*first["resumed"], now]})
         _tell(console, f"continuing {folder.path} after iteration {progressed.iteration}")
-    return folder, progressed
+    return progressed
 
 
 def _loop(
@@ -144,7 +152,7 @@ def _loop(
                 progressed, metrics = iterate(setup, progressed)
                 record = _record(progressed, metrics, time.perf_counter() - began)
                 log.write(record)
-                view.show(record)
+                view.show(progressed.iteration, figures(record), record["time/iteration_s"])
                 if progressed.iteration % config.checkpoint_every == 0:
                     checkpoints.save(progressed)
         finally:  # also where it diverged: `progressed` is then the last good state

@@ -1,4 +1,4 @@
-"""Returns, the linear baseline and generalized advantage estimation: functions of one episode or one task."""
+"""Returns, the linear baseline and generalized advantages, of one episode or one task."""
 
 from __future__ import annotations
 
@@ -22,9 +22,9 @@ def discounted_sum(x: jax.Array, discount: float) -> jax.Array:
 
 
 def baseline_features(obs: jax.Array) -> jax.Array:
-    """Features (s, s*s, 0.01t, (0.01t)^2, (0.01t)^3, 1) of one episode (section C). [T, O] -> [T, 2O + 4].
+    """Features (s, s*s, 0.01t, (0.01t)^2, (0.01t)^3, 1) of one episode (section C).
 
-    t counts the steps of the episode from 0.
+    t counts the steps of the episode from 0. [T, O] -> [T, 2O + 4].
     """
     t = 0.01 * jnp.arange(obs.shape[0], dtype=obs.dtype)[:, None]
     return jnp.concatenate([obs, obs**2, t, t**2, t**3, jnp.ones_like(t)], axis=1)
@@ -33,8 +33,8 @@ def baseline_features(obs: jax.Array) -> jax.Array:
 def fit_baseline(features: jax.Array, targets: jax.Array, mask: jax.Array) -> jax.Array:
     """Weights w of least |X w - y|^2 + ridge |w|^2 over the rows with mask 1.
 
-    The ridge enters as extra rows of a QR least-squares problem: the condition number is then the square
-    root of the normal equations', which float32 can carry.
+    The ridge enters as extra rows of a QR least-squares problem: the condition number is then the
+    square root of the normal equations', which float32 can carry.
 
     Args:
         features: X, [S, F].
@@ -56,8 +56,9 @@ def gae(
 ) -> jax.Array:
     """Generalized advantages of one episode (Schulman et al. 2016, equation 16). [T], [T] -> [T].
 
-    A_t = sum_k (discount * gae_lambda)^k delta_{t+k}, delta_t = r_t + discount V_{t+1} - V_t, where V
-    beyond the last step is `last_value`, []. Steps after an early end must have reward and value 0.
+    A_t = sum_k (discount * gae_lambda)^k delta_{t+k}, delta_t = r_t + discount V_{t+1} - V_t, where
+    V beyond the last step is `last_value`, []. Steps after an early end must have reward and value
+    0.
     """
     following = jnp.append(value[1:], last_value)
     delta = reward + discount * following - value
@@ -65,7 +66,7 @@ def gae(
 
 
 def normalize(x: jax.Array, mask: jax.Array) -> jax.Array:
-    """Mean 0 and standard deviation 1 over the entries with mask 1; 0 elsewhere, and if all are equal."""
+    """Mean 0, standard deviation 1 over entries with mask 1; 0 elsewhere, and if all are equal."""
     count = jnp.maximum(jnp.sum(mask), 1.0)
     centered = (x - jnp.sum(x * mask) / count) * mask
     return centered / (jnp.sqrt(jnp.sum(centered**2) / count) + 1e-8)

@@ -1,0 +1,119 @@
+"""Makes demonstrations: `python -m emrld_jax.make_demos env=point2d quality=optimal`."""
+
+from __future__ import annotations
+
+import sys
+import time
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from emrld_jax.demos import DemoSet
+from emrld_jax.demos.quality import QUALITIES
+from emrld_jax.runs import cli
+from emrld_jax.runs.config import ConfigError, check_config
+from emrld_jax.runs.usage import usage
+from emrld_jax.settings import setting
+from envs_jax import make, names
+
+
+@dataclass
+class MakeDemosConfig:
+    """All settings of making demonstrations."""
+
+    env: str = setting("point2d", "the environment", choices=names())
+    quality: str = setting(
+        "optimal",
+        "optimal: a trained expert that reaches every goal; suboptimal: noisy trajectories of an "
+        "expert that stopped early, cut off near the goal",
+        choices=QUALITIES,
+    )
+    seed: int = setting(0, "seed of all random numbers", at_least=0, at_most=10**9)
+    out: str | None = setting(None, "file to write; null: demos/ENV_QUALITY.npz")
+    dense_iterations: int = setting(
+        60, "iterations of the expert on the dense reward, at the most", at_least=1
+    )
+    sparse_iterations: int = setting(
+        20, "then iterations on the sparse reward; for optimal demonstrations only", at_least=0
+    )
+
+
+def main() -> int:
+    """Makes demonstrations as the command line says."""
+    arguments = sys.argv[1:]
+    if cli.asks_for_help(arguments):
+        print(
+            usage(
+                "emrld_jax.make_demos",
+                "Train an expert and write one demonstration a task into a file.",
+                ("env=point2d quality=optimal", "env=two_wheeled quality=suboptimal seed=1"),
+                MakeDemosConfig(),
+                {},
+            )
+        )
+        return 0
+    config = cli.updated(MakeDemosConfig(), cli.parse(arguments, MakeDemosConfig(), {}))
+    check_config(config)
+    out = Path(config.out or f"demos/{config.env}_{config.quality}.npz")
+    if out.suffix != ".npz":
+        raise ConfigError(f"out={out} must end in .npz")
+    if out.exists():
+        raise ConfigError(f"{out} exists; choose another file with out=PATH")
+    make_file(config, out)
+    return 0
+
+
+def make_file(config: MakeDemosConfig, out: Path) -> None:
+    """Makes the demonstrations, with progress, and writes them with where they come from."""
+    # only now: wrong arguments are told at once
+    from rich.console import Console  # noqa: PLC0415
+
+    from emrld_jax.demos import check_tasks, provenance, save  # noqa: PLC0415
+    from emrld_jax.demos.making import Training, make_demos  # noqa: PLC0415
+    from emrld_jax.runs.progress import ProgressView  # noqa: PLC0415
+    from emrld_jax.runs.provenance import software  # noqa: PLC0415
+
+    console, env = Console(), make(config.env)
+    sparse = config.sparse_iterations if config.quality == "optimal" else 0
+    training = Training(config.dense_iterations, sparse)
+    before = {"dense": 0, "sparse": config.dense_iterations}  # iterations
+    began = time.perf_counter()
+    with ProgressView(console, 0, sum(training)) as view:
+
+        def report(reward: str, iteration: int, metrics: dict[str, Any]) -> None:
+            done = before[reward] + iteration
+            figures = (
+                f"{reward} reward, return {float(metrics['expert/return']):.1f}  "
+                f"success {float(metrics['expert/success']):.0%}"
+            )
+            view.show(done, figures, (time.perf_counter() - began) / done)
+
+        file = make_demos(config.env, config.quality, config.seed, training, report)
+    figures = {"train": summary(file.train), "test": summary(file.test)}
+    origin = provenance(
+        command=" ".join(["python -m emrld_jax.make_demos", *sys.argv[1:]]),
+        seed=config.seed,
+        **software(),
+        figures=figures,
+    )
+    file = replace(file, provenance=origin)
+    check_tasks(file, env)
+    save(out, file, env)
+    for split, values in figures.items():
+        console.print(f"{split}: " + ", ".join(f"{k} {v}" for k, v in values.items()))
+    console.print(f"wrote {out}")
+
+
+def summary(part: DemoSet) -> dict[str, Any]:
+    """What the demonstrations of a split achieve."""
+    return {
+        "mean_return": round(float(np.mean(part.returns)), 2),
+        "reached": f"{int(np.sum(part.success))} of {len(part.success)}",
+        "mean_steps": round(float(np.mean(np.sum(part.demos.mask, axis=1))), 1),
+    }
+
+
+if __name__ == "__main__":
+    cli.run_command(main)
