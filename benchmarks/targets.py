@@ -1,26 +1,18 @@
-"""The README's table: trains every algorithm on every environment with the shipped defaults.
+"""The README's table: every algorithm on every environment, shipped defaults, several seeds.
 
-`python -m benchmarks.targets` runs what is not finished yet, several runs side by side (one core
-each), and writes the table with commit, machine and total compute into `benchmarks/results/`.
+`python -m benchmarks.targets` trains what is not finished yet and writes the table.
 """
 
 from __future__ import annotations
 
 import argparse
-import json
-import os
-import subprocess
-import sys
 from collections.abc import Sequence
-from concurrent.futures import ThreadPoolExecutor
-from datetime import UTC, datetime
 from pathlib import Path
-from queue import Queue
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 
-from emrld_jax.runs.metrics import read_metrics
+from benchmarks.jobs import Job, run_all, write_results
 
 ENVIRONMENTS = ("point2d", "two_wheeled", "two_wheeled_drift")
 ROWS = (
@@ -28,150 +20,89 @@ ROWS = (
     ("optimal", "emrld_ws"),
     ("suboptimal", "emrld"),
     ("suboptimal", "emrld_ws"),
-    ("optimal", "maml"),  # which takes no demonstrations
+    ("optimal", "maml"),  # which learns nothing from them
 )
-RESULTS = Path(__file__).parent / "results"
+Row = dict[str, Any]
 
 
-class Job(NamedTuple):
-    """One training run."""
-
-    env: str
-    demos: str
-    algo: str
-    seed: int
-
-    def folder(self, runs: Path) -> Path:
-        """Where `emrld_jax.train` puts it."""
-        return runs / self.env / f"{self.algo}-{self.demos}" / f"seed{self.seed}"
-
-    def finished(self, runs: Path) -> bool:
-        return (self.folder(runs) / "results.json").is_file()
-
-    def command(self, runs: Path) -> list[str]:
-        """The command line that runs or continues it."""
-        train = [sys.executable, "-m", "emrld_jax.train"]
-        if self.folder(runs).exists():
-            return [*train, f"resume={self.folder(runs)}"]
-        settings = (f"env={self.env}", f"demos={self.demos}", f"algo={self.algo}")
-        return [*train, *settings, f"seed={self.seed}", f"runs={runs}"]
-
-
-def run_all(jobs: Sequence[Job], runs: Path) -> None:
-    """Runs the jobs that are not finished, one a core at a time."""
-    cores: Queue[int] = Queue()
-    for core in sorted(os.sched_getaffinity(0)):
-        cores.put(core)
-    threads = os.environ | {"XLA_FLAGS": "--xla_cpu_multi_thread_eigen=false"}
-
-    def run(job: Job) -> None:
-        core = cores.get()
-        log = runs / "logs" / f"{job.env}-{job.algo}-{job.demos}-{job.seed}.log"
-        log.parent.mkdir(parents=True, exist_ok=True)
-        pin = ["taskset", "-c", str(core)]
-        with log.open("a") as stream:
-            done = subprocess.run(
-                [*pin, *job.command(runs)],
-                check=False,
-                env=threads,
-                stdout=stream,
-                stderr=stream,
-            )
-        cores.put(core)
-        print(
-            f"{job.folder(runs)}: {'done' if done.returncode == 0 else f'failed, see {log}'}",
-            flush=True,
-        )
-
-    with ThreadPoolExecutor(cores.qsize()) as pool:
-        list(pool.map(run, [job for job in jobs if not job.finished(runs)]))
-
-
-def summarize(jobs: Sequence[Job], runs: Path) -> dict[str, Any]:
-    """Means over the finished seeds of one row, and the range of the training tasks' return."""
-    finished = [job.folder(runs) for job in jobs if job.finished(runs)]
-    results = [json.loads((folder / "results.json").read_text()) for folder in finished]
-    seconds = [
-        sum(r["time/iteration_s"] for r in read_metrics(f / "metrics.jsonl")) for f in finished
-    ]
+def summarize(jobs: Sequence[Job]) -> Row:
+    """One row: figures after adaptation, a value a seed."""
+    results = [job.results() for job in jobs]
 
     def figure(split: str, name: str) -> list[float]:
         return [result[split]["stages"][-1][name] for result in results]
 
     return {
-        "seeds": len(finished),
-        "demonstrations": float(np.mean([r["train"]["demonstrations"]["return"] for r in results])),
+        "environment": jobs[0].env,
+        "demonstrations": jobs[0].demos,
+        "algorithm": jobs[0].algo,
+        "seeds": [job.seed for job in jobs],
+        "demonstrated_return": results[0]["train"]["demonstrations"]["return"],
         "return": figure("train", "return"),
         "success": figure("train", "success"),
         "held_out_return": figure("test", "return"),
         "held_out_success": figure("test", "success"),
-        "iterations": len(read_metrics(finished[0] / "metrics.jsonl")),
-        "training_s": float(np.mean(seconds)),
+        "worst_task_success": [
+            min(r[split]["stages"][-1]["success_per_task"])
+            for r in results
+            for split in ("train", "test")
+        ],
+        "iterations": len(jobs[0].metrics()),
+        "training_s": float(
+            np.mean([sum(r["time/iteration_s"] for r in job.metrics()) for job in jobs])
+        ),
     }
 
 
-def table(rows: dict[tuple[str, str, str], dict[str, Any]]) -> str:
-    """The rows as Markdown."""
+def table(rows: Sequence[Row]) -> str:
+    """The rows as Markdown: means over seeds, with the range of the seeds' returns."""
     lines = [
-        "| environment, demonstrations (their return) | algorithm | return, training tasks "
-        "| success | return, held-out tasks | success | meta-iterations | training |",
-        "|---|---|---|---|---|---|---|---|",
+        "| environment | demonstrations (their return) | algorithm | return, training tasks "
+        "| success | return, held-out tasks | success | meta-iterations | seconds |",
+        "|---|---|---|---|---|---|---|---|---|",
     ]
-    for (env, demos, algo), row in rows.items():
-        source = "no demonstrations" if algo == "maml" else f"{demos} ({row['demonstrations']:.1f})"
-        spread = (
-            f"{np.mean(row['return']):.1f} ({min(row['return']):.1f} to {max(row['return']):.1f})"
+    for row in rows:
+        demos = f"{row['demonstrations']} ({row['demonstrated_return']:.1f})"
+        cells = (
+            row["environment"],
+            "none" if row["algorithm"] == "maml" else demos,
+            row["algorithm"],
+            _spread(row["return"]),
+            f"{np.mean(row['success']):.0%}",
+            _spread(row["held_out_return"]),
+            f"{np.mean(row['held_out_success']):.0%}",
+            str(row["iterations"]),
+            f"{row['training_s']:.0f}",
         )
-        held = row["held_out_return"]
-        lines.append(
-            f"| {env}, {source} | {algo} | {spread} | {np.mean(row['success']):.0%} "
-            f"| {np.mean(held):.1f} ({min(held):.1f} to {max(held):.1f}) "
-            f"| {np.mean(row['held_out_success']):.0%} | {row['iterations']} "
-            f"| {row['training_s']:.0f} s |"
-        )
+        lines.append(f"| {' | '.join(cells)} |")
     return "\n".join(lines)
 
 
+def _spread(values: Sequence[float]) -> str:
+    return f"{np.mean(values):.1f} ({min(values):.1f} to {max(values):.1f})"
+
+
 def main() -> None:
-    """Runs what is missing and writes the table."""
+    """Trains what is missing and writes the table."""
     parser = argparse.ArgumentParser(prog="python -m benchmarks.targets", description=__doc__)
     parser.add_argument("--runs", type=Path, default=Path("runs"), help="folder of the run folders")
     parser.add_argument("--seeds", type=int, nargs="+", default=[0, 1, 2])
-    parser.add_argument("--env", nargs="+", default=ENVIRONMENTS, choices=ENVIRONMENTS)
+    parser.add_argument("--envs", nargs="+", default=ENVIRONMENTS, choices=ENVIRONMENTS)
     parser.add_argument("--table", action="store_true", help="only tabulate what is finished")
     options = parser.parse_args()
-    rows = {
-        (env, *row): [Job(env, *row, seed) for seed in options.seeds]
-        for env in options.env
-        for row in ROWS
-    }
+    rows = [
+        [Job(options.runs, env, demos, algo, seed) for seed in options.seeds]
+        for env in options.envs
+        for demos, algo in ROWS
+    ]
     if not options.table:
-        # seed by seed, so that an interrupted call has whole tables of fewer seeds
-        jobs = [jobs[i] for i in range(len(options.seeds)) for jobs in rows.values()]
-        run_all(jobs, options.runs)
-    done = {
-        key: summarize(jobs, options.runs)
-        for key, jobs in rows.items()
-        if any(job.finished(options.runs) for job in jobs)
-    }
-    text = table(done)
+        # seed by seed, so that an interrupted call leaves whole tables of fewer seeds
+        run_all([jobs[i] for i in range(len(options.seeds)) for jobs in rows])
+    done = [[job for job in jobs if job.finished] for jobs in rows]
+    summaries = [summarize(jobs) for jobs in done if jobs]
+    text = table(summaries)
     print(text)
-    first = next(job for jobs in rows.values() for job in jobs if job.finished(options.runs))
-    origin = json.loads((first.folder(options.runs) / "provenance.json").read_text())
-    RESULTS.mkdir(exist_ok=True)
-    out = RESULTS / f"targets-{datetime.now(UTC):%Y-%m-%d}"
-    record = {
-        "command": ["python -m benchmarks.targets", *sys.argv[1:]],
-        "code": origin["code"],
-        "packages": origin["packages"],
-        "machine": origin["machine"],
-        "rows": [
-            dict(zip(("env", "demos", "algo"), key, strict=True)) | row for key, row in done.items()
-        ],
-    }
-    out.with_suffix(".json").write_text(json.dumps(record, indent=2) + "\n")
-    out.with_suffix(".md").write_text(text + "\n")
-    print(f"wrote {out}.json and .md")
+    write_results("targets", [job for jobs in done for job in jobs], summaries, text)
 
 
 if __name__ == "__main__":

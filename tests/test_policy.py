@@ -10,7 +10,14 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from emrld_jax.policy import ACTIVATIONS, gaussian_policy, kl_divergence, log_prob, sample
+from emrld_jax.policy import (
+    ACTIVATIONS,
+    gaussian_policy,
+    kl_divergence,
+    log_prob,
+    mean_action,
+    sample,
+)
 from emrld_jax.types import Gaussian
 
 IN_NUMPY: dict[str, Callable[[np.ndarray], np.ndarray]] = {
@@ -83,6 +90,14 @@ def test_a_sample_is_the_mean_plus_noise_times_the_standard_deviation() -> None:
     gaussian = Gaussian(jnp.array([1.0, -1.0]), jnp.log(jnp.array([0.5, 2.0])))
     result = sample(gaussian, jnp.array([2.0, -1.0]))
     np.testing.assert_allclose(result, [2.0, -3.0], rtol=1e-6)
+
+
+def test_the_mean_action_has_no_noise() -> None:
+    policy = gaussian_policy(3, 2, hidden_sizes=(4,))
+    params, obs = policy.init(jax.random.key(0)), jnp.ones((5, 3))
+    quiet = mean_action(policy).apply(params, obs)
+    np.testing.assert_array_equal(sample(quiet, jnp.full((5, 2), 3.0)), quiet.mean)
+    np.testing.assert_array_equal(quiet.mean, policy.apply(params, obs).mean)
 
 
 def test_weights_are_xavier_uniform_and_biases_zero() -> None:

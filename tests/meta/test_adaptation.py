@@ -40,7 +40,7 @@ def meta_loss(steps: int, first_order: bool = False) -> tuple[Callable, Params]:
     policy, params = small_policy()
     objective = adapted_objective(policy, enhanced_steps(steps, RATE, first_order))[0]
     shifted = jax.tree.map(lambda x: x + 0.05, params)  # so that ratios are not all 1
-    old = objective.outputs(params)
+    old = jax.jit(objective.outputs)(params)
     return jax.jit(lambda p: objective.loss(objective.outputs(p), old)), shifted
 
 
@@ -57,7 +57,7 @@ def differences(loss: Callable, params: Params, step: float = 1e-5) -> np.ndarra
 @pytest.mark.parametrize("steps", [1, 2])
 def test_the_meta_gradient_is_that_of_finite_differences(steps: int) -> None:
     loss, params = meta_loss(steps)
-    gradient = np.asarray(ravel_pytree(jax.grad(loss)(params))[0])
+    gradient = np.asarray(ravel_pytree(jax.jit(jax.grad(loss))(params))[0])
     assert gradient.dtype == np.float64
     expected = differences(loss, params)
     np.testing.assert_allclose(gradient, expected, rtol=1e-5, atol=1e-8)
@@ -74,7 +74,7 @@ def test_the_first_order_gradient_is_the_outer_one_at_the_adapted_parameters() -
     def through(p: Params) -> jax.Array:
         return outer_loss(readapt(policy, (step,), p, (rollout,), demos))
 
-    gradient = ravel_pytree(jax.grad(through)(params))[0]
+    gradient = ravel_pytree(jax.jit(jax.grad(through))(params))[0]
     adapted = readapt(policy, (step,), params, (rollout,), demos)
     np.testing.assert_allclose(gradient, ravel_pytree(jax.grad(outer_loss)(adapted))[0], rtol=1e-10)
 
@@ -82,7 +82,7 @@ def test_the_first_order_gradient_is_the_outer_one_at_the_adapted_parameters() -
 def test_first_order_adapts_alike_but_has_another_gradient() -> None:
     (second, params), (first, _) = meta_loss(1), meta_loss(1, first_order=True)
     np.testing.assert_allclose(first(params), second(params), rtol=1e-12)
-    gradients = [np.asarray(ravel_pytree(jax.grad(f)(params))[0]) for f in (first, second)]
+    gradients = [np.asarray(ravel_pytree(jax.jit(jax.grad(f))(params))[0]) for f in (first, second)]
     assert np.linalg.norm(gradients[0] - gradients[1]) > 0.05 * np.linalg.norm(gradients[1])
 
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from typing import Any
 
 import jax
@@ -39,18 +38,17 @@ def as_vector(params: Any) -> np.ndarray:
 
 def quadratic(bend: float = 0.0, matrix: np.ndarray = MATRIX) -> Objective:
     """Loss slope'd + bend |d|^2 / 2 and divergence d'Hd / 2, of d = new - old."""
-    h, slope = jnp.asarray(matrix), jnp.asarray(SLOPE)
 
     def difference(new: Any, old: Any) -> jax.Array:
         return ravel_pytree(new)[0] - ravel_pytree(old)[0]
 
     def loss(new: Any, old: Any) -> jax.Array:
         d = difference(new, old)
-        return slope @ d + 0.5 * bend * (d @ d)
+        return jnp.asarray(SLOPE) @ d + 0.5 * bend * (d @ d)
 
     def divergence(new: Any, old: Any) -> jax.Array:
         d = difference(new, old)
-        return 0.5 * d @ (h @ d)
+        return 0.5 * d @ (jnp.asarray(matrix) @ d)
 
     return Objective(lambda params: params, loss, divergence)
 
@@ -66,9 +64,8 @@ def update(
 ) -> tuple[np.ndarray, dict[str, float]]:
     with jax.enable_x64(True):
         optimizer = trpo(max_kl=MAX_KL, **settings)
-        params, _, metrics = optimizer.update(
-            objective, curvature or objective, as_params(START), ()
-        )
+        step = jax.jit(lambda p: optimizer.update(objective, curvature or objective, p, ()))
+        params, _, metrics = step(as_params(START))
         return as_vector(params), {name: float(value) for name, value in metrics.items()}
 
 
@@ -225,11 +222,16 @@ def test_the_fisher_matrix_through_the_adaptation_is_the_kls_hessian(steps: int)
         policy, params = small_policy((3,))
         objective = adapted_objective(policy, enhanced_steps(steps, 0.3))[0]
         flat, unravel = ravel_pytree(params)
-        old = objective.outputs(params)
+        old = jax.jit(objective.outputs)(params)
         dense = jax.hessian(lambda x: objective.divergence(objective.outputs(unravel(x)), old))
-        product = fisher_product(objective, flat, unravel, damping)
-        fisher = np.asarray(jax.vmap(product)(jnp.eye(flat.size)))
-        expected = np.asarray(dense(flat)) + damping * np.eye(flat.size)
+
+        @jax.jit
+        def matrix(flat: jax.Array) -> jax.Array:
+            product = fisher_product(objective, flat, unravel, damping)
+            return jax.vmap(product)(jnp.eye(flat.size))
+
+        fisher = np.asarray(matrix(flat))
+        expected = np.asarray(jax.jit(dense)(flat)) + damping * np.eye(flat.size)
     assert np.abs(expected).max() > 10 * damping
     np.testing.assert_allclose(fisher, expected, rtol=1e-8, atol=1e-10)
 
@@ -258,14 +260,18 @@ def test_a_real_update_improves_the_adapted_policies_within_max_kl(max_kl: float
         policy, params = small_policy()
         steps = enhanced_steps(1, 0.3)
         objective, inner, demos, outer = adapted_objective(policy, steps)
-        new_params, _, metrics = trpo(max_kl=max_kl).update(objective, objective, params, ())
+        optimizer = trpo(max_kl=max_kl)
+        update = jax.jit(lambda p: optimizer.update(objective, objective, p, ()))
+        new_params, _, metrics = update(params)
 
-        def adapted(p: Any) -> Callable[[Any, Any, jax.Array], Any]:
-            return lambda i, d, obs: policy.apply(readapt(policy, steps, p, i, d), obs)
+        @jax.jit
+        def adapted(p: Any) -> Any:
+            def of_task(inner: Any, demos: Any, obs: jax.Array) -> Any:
+                return policy.apply(readapt(policy, steps, p, inner, demos), obs)
 
-        new, old = (
-            jax.vmap(adapted(p))(inner, demos, outer.trajectory.obs) for p in (new_params, params)
-        )
+            return jax.vmap(of_task)(inner, demos, outer.trajectory.obs)
+
+        new, old = adapted(new_params), adapted(params)
     mask = np.asarray(outer.trajectory.mask)
     kl, loss = numpy_kl(new, old, mask), numpy_surrogate(new, old, outer)
     before = numpy_surrogate(old, old, outer)

@@ -9,7 +9,7 @@ import pytest
 from emrld_jax.runs import cli
 from emrld_jax.runs.config import EvaluateConfig, TrainConfig
 from emrld_jax.runs.usage import leaves
-from tests.runs.conftest import Command
+from tests.conftest import Command
 
 # argument, and what the message must say
 REFUSED = [

@@ -16,7 +16,7 @@ from emrld_jax.runs.evaluation import Evaluation, bootstrap_interval, evaluator,
 from emrld_jax.sampling.rollouts import collector
 from emrld_jax.settings import AdaptSettings, PolicySettings, Settings
 from envs_jax import make
-from tests.runs.conftest import Command
+from tests.conftest import Command
 
 EPISODES = 4
 

@@ -19,7 +19,8 @@ import yaml
 
 from emrld_jax.runs.config import load_config
 from emrld_jax.runs.metrics import read_metrics
-from tests.runs.conftest import TINY, Command
+from tests.conftest import Command
+from tests.runs.conftest import TINY
 from tests.runs.straight import write_demos
 
 WholeRun = tuple[Path, str]

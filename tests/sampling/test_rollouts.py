@@ -58,7 +58,8 @@ def by_hand(env: Env, policy: Policy, params: Any, key: jax.Array, task: Any) ->
         state = following
         if following.done:
             break
-    return Trajectory(*(np.stack(column) for column in zip(*rows, strict=True)))
+    columns: list[Any] = [np.stack(column) for column in zip(*rows, strict=True)]
+    return Trajectory(*columns)
 
 
 @pytest.mark.parametrize("seed", [0, 1, 2])
@@ -98,7 +99,7 @@ def test_a_straight_walk_to_the_goal_in_worked_numbers() -> None:
     result = episode(POINT, straight(), (), jax.random.key(0), NEAR)
     np.testing.assert_array_equal(result.mask, [1, 1, 1, 0, 0, 0, 0, 0])
     np.testing.assert_array_equal(result.done[:3], [0, 0, 1])
-    np.testing.assert_allclose(result.obs[:3], [[0, 0], [0.1, 0], [0.2, 0]], atol=1e-6)
+    np.testing.assert_allclose(result.obs[:3], [[0.0, 0.0], [0.1, 0.0], [0.2, 0.0]], atol=1e-6)
     # 0.2 m away: nothing; 0.1 m away: 1 - 0.1; at the goal in step 2: 8 - 2 - 1
     np.testing.assert_allclose(result.reward[:3], [0.0, 0.9, 5.0], atol=1e-6)
     np.testing.assert_allclose(episode_returns(result), 5.9, atol=1e-5)
@@ -142,9 +143,11 @@ def random_rollout(lengths: tuple[int, ...], horizon: int = 5) -> Rollout:
     shape = (len(lengths), horizon)
     mask = (np.arange(horizon) < np.array(lengths)[:, None]).astype(np.float32)
     obs, action = (jnp.asarray(rng.normal(size=(*shape, 2)), jnp.float32) for _ in range(2))
-    scalars = [jnp.asarray(rng.normal(size=shape), jnp.float32) for _ in range(4)]
-    trajectory = Trajectory(obs, action, *scalars[:3], jnp.asarray(mask))
-    return Rollout(trajectory, scalars[3])
+    reward, done, success, advantage = (
+        jnp.asarray(rng.normal(size=shape), jnp.float32) for _ in range(4)
+    )
+    trajectory = Trajectory(obs, action, reward, done, success, jnp.asarray(mask))
+    return Rollout(trajectory, advantage)
 
 
 @pytest.mark.parametrize("every", [1, 2, 3])

@@ -1,0 +1,97 @@
+"""What the tuned defaults are worth: Point2D with one setting changed at a time.
+
+`python -m benchmarks.ablation` trains what is not finished yet and writes docs/tuning.md's table.
+"""
+
+from __future__ import annotations
+
+import argparse
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from benchmarks.jobs import Job, run_all, write_results
+
+VARIANTS: dict[str, tuple[str, ...]] = {
+    "defaults": (),
+    "adapt.learning_rate=0.01": ("adapt.learning_rate=0.01",),
+    "adapt.learning_rate=0.002": ("adapt.learning_rate=0.002",),
+    "policy.activation=relu": ("policy.activation=relu",),
+    "policy.activation=silu": ("policy.activation=silu",),
+    "policy.std=0.3": ("policy.std=0.3",),
+    "policy.std=0.8 adapt.learning_rate=0.01": ("policy.std=0.8", "adapt.learning_rate=0.01"),
+    "policy.learn_std=true": ("policy.learn_std=true",),
+    "meta.max_kl=0.01": ("meta.max_kl=0.01",),
+    "meta.fisher_every=1": ("meta.fisher_every=1",),
+    "meta.backtrack_ratio=0.5": ("meta.backtrack_ratio=0.5",),
+    "experiment=paper": ("experiment=paper",),
+}
+MARKS = (20, 40, 60, 80, 100)  # iterations
+WINDOW = 5  # iterations up to a mark that are averaged
+
+
+def summarize(name: str, jobs: Sequence[Job]) -> dict[str, Any]:
+    """One row: the return after adaptation around each mark, and in the end, a value a seed."""
+    curves = [[record["adapt/return_1"] for record in job.metrics()] for job in jobs]
+    return {
+        "setting": name,
+        "seeds": [job.seed for job in jobs],
+        "return_at": {m: [float(np.mean(c[m - WINDOW : m])) for c in curves] for m in MARKS},
+        "final": [job.results()["train"]["stages"][-1]["return"] for job in jobs],
+        "held_out": [job.results()["test"]["stages"][-1]["return"] for job in jobs],
+        "s_per_iteration": float(
+            np.median([r["time/iteration_s"] for job in jobs for r in job.metrics()])
+        ),
+    }
+
+
+def table(rows: Sequence[dict[str, Any]]) -> str:
+    """The rows as Markdown, means over seeds."""
+    marks = " | ".join(f"iteration {m}" for m in MARKS)
+    lines = [
+        f"| setting | {marks} | final | held-out | s an iteration |",
+        "|---|" + "---|" * (len(MARKS) + 3),
+    ]
+    for row in rows:
+        curve = " | ".join(f"{np.mean(row['return_at'][m]):.0f}" for m in MARKS)
+        lines.append(
+            f"| {row['setting']} | {curve} | {np.mean(row['final']):.1f} "
+            f"| {np.mean(row['held_out']):.1f} | {row['s_per_iteration']:.2f} |"
+        )
+    return "\n".join(lines)
+
+
+def main() -> None:
+    """Trains what is missing and writes the table."""
+    parser = argparse.ArgumentParser(prog="python -m benchmarks.ablation", description=__doc__)
+    parser.add_argument("--runs", type=Path, default=Path("runs/ablation"))
+    parser.add_argument("--seeds", type=int, nargs="+", default=[0])
+    parser.add_argument("--table", action="store_true", help="only tabulate what is finished")
+    options = parser.parse_args()
+    rows = {
+        name: [
+            Job(
+                options.runs / name.replace(" ", ","),
+                "point2d",
+                "optimal",
+                "emrld",
+                seed,
+                (*settings, f"meta.iterations={max(MARKS)}"),
+            )
+            for seed in options.seeds
+        ]
+        for name, settings in VARIANTS.items()
+    }
+    if not options.table:
+        run_all([job for jobs in rows.values() for job in jobs])
+    done = {name: [job for job in jobs if job.finished] for name, jobs in rows.items()}
+    summaries = [summarize(name, jobs) for name, jobs in done.items() if jobs]
+    text = table(summaries)
+    print(text)
+    write_results("ablation", [job for jobs in done.values() for job in jobs], summaries, text)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,225 @@
+"""What every algorithm keeps, over `algorithms.names()`; and identities between algorithms."""
+
+from __future__ import annotations
+
+import logging
+from functools import cache
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+import envs_jax
+from emrld_jax import algorithms
+from emrld_jax.algorithms import parts
+from emrld_jax.meta import learner as learner_module
+from emrld_jax.meta.learner import MetaLearner, MetaState
+from emrld_jax.policy import Policy
+from emrld_jax.sampling.rollouts import collector
+from emrld_jax.settings import AdaptSettings, MetaSettings, PolicySettings, Settings
+from emrld_jax.types import Collect, Demos, Params, Rollout
+from envs_jax import Env
+from envs_jax.goals import GoalTask
+from tests.meta.problems import random_demos, stacked
+
+ALL = pytest.mark.parametrize("name", algorithms.names())
+ENV = envs_jax.make("point2d", reward="dense", horizon=8, goal_radius=0.15)
+FAR = GoalTask(2.0 * jnp.array([[1.0, 0.0], [0.0, 1.0], [-1.0, 0.0]]))  # never reached
+NEAR = GoalTask(jnp.array([[0.2, 0.0], [0.0, 0.25], [-0.2, 0.1]]))  # often reached
+DEMOS = stacked([random_demos(m) for m in range(3)])
+KEY = jax.random.key(7)
+
+
+class Seeded(NamedTuple):
+    """A task that brings its own random numbers, so that they stay with it."""
+
+    task: GoalTask
+    seed: jax.Array
+
+
+SEEDED = Seeded(FAR, jnp.arange(3))
+
+
+def seeded_collector(env: Env, policy: Policy, *arguments: Any) -> Collect:
+    collect = collector(env, policy, *arguments)
+
+    def of_task(params: Params, key: jax.Array, task: Seeded) -> Rollout:
+        return collect(params, jax.random.key(task.seed), task.task)
+
+    return of_task
+
+
+@cache
+def learner(
+    name: str,
+    *,
+    w_rl: float = 0.2,
+    w_bc: float = 1.0,
+    warm_start_rate: float = 0.1,
+    seeded: bool = False,
+) -> MetaLearner:
+    """A small learner; kept, so that it compiles once for all tests."""
+    settings = Settings(
+        w_rl=w_rl,
+        w_bc=w_bc,
+        policy=PolicySettings(hidden_sizes=[8]),
+        adapt=AdaptSettings(num_episodes=4, learning_rate=0.1, warm_start_rate=warm_start_rate),
+        # Well conditioned, so that rounding stays small through the conjugate gradient.
+        meta=MetaSettings(fisher_every=2, damping=0.1, cg_iterations=5),
+    )
+    with pytest.MonkeyPatch.context() as patch:
+        if seeded:
+            patch.setattr(parts, "collector", seeded_collector)
+        return algorithms.make(name, ENV, settings)
+
+
+def start(name: str) -> MetaState:
+    return learner(name).init(jax.random.key(0))
+
+
+def assert_equal(result: Any, expected: Any) -> None:
+    jax.tree.map(np.testing.assert_array_equal, result, expected)
+
+
+def assert_close(result: Any, expected: Any) -> None:
+    jax.tree.map(lambda a, b: np.testing.assert_allclose(a, b, atol=1e-5), result, expected)
+
+
+def differ(a: Any, b: Any) -> bool:
+    pairs = zip(jax.tree.leaves(a), jax.tree.leaves(b), strict=True)
+    return any(not np.allclose(x, y, atol=2e-3) for x, y in pairs)
+
+
+@ALL
+def test_an_update_learns_something_and_reports_finite_numbers(name: str) -> None:
+    state, metrics = learner(name).update(start(name), KEY, FAR, DEMOS)
+    assert differ(state.params, start(name).params)
+    assert all(np.isfinite(leaf).all() for leaf in jax.tree.leaves(state.params))
+    for metric, value in metrics.items():
+        assert value.shape == (), metric
+        assert np.isfinite(value), metric
+
+
+@ALL
+def test_metrics_are_named_by_phase(name: str) -> None:
+    _, metrics = learner(name).update(start(name), KEY, FAR, DEMOS)
+    assert {metric.split("/")[0] for metric in metrics} == {"adapt", "outer"}
+    stages = {metric.removeprefix("adapt/return_") for metric in metrics if "return_" in metric}
+    assert stages == {str(k) for k in range(len(stages))}
+    for what in ("success", "length"):
+        assert {f"adapt/{what}_{stage}" for stage in stages} <= metrics.keys()
+    assert "outer/loss" in metrics
+
+
+@ALL
+def test_the_same_key_gives_the_same_update_and_another_one_another(name: str) -> None:
+    first, again, other = (
+        learner(name).update(start(name), key, FAR, DEMOS) for key in (KEY, KEY, jax.random.key(8))
+    )
+    assert_equal(again, first)
+    assert differ(other[0].params, first[0].params)
+
+
+@ALL
+def test_a_second_update_compiles_nothing(name: str, caplog: pytest.LogCaptureFixture) -> None:
+    update, state = learner(name).update, start(name)
+    caplog.set_level(logging.WARNING, "jax")
+    with jax.log_compiles(True):
+        jax.jit(lambda x: x + 1)(jnp.ones(3))  # so that we know what would be seen
+        assert "Compiling" in caplog.text
+        state, _ = update(state, KEY, FAR, DEMOS)
+        caplog.clear()
+        update(state, jax.random.key(9), FAR, DEMOS)
+    assert not [line for line in caplog.messages if "tracing" in line or "Compiling" in line]
+
+
+@ALL
+def test_leaving_out_what_comes_after_ends_changes_nothing(
+    name: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    packed, metrics = learner(name).update(start(name), KEY, NEAR, DEMOS)
+    assert float(metrics["adapt/length_0"]) < 0.75 * ENV.horizon
+    monkeypatch.setattr(learner_module, "BUCKETS", (1.0,))
+    whole, whole_metrics = learner(name).update(start(name), KEY, NEAR, DEMOS)
+    assert differ(whole.params, start(name).params)
+    assert_close(packed.params, whole.params)
+    assert_close(metrics, whole_metrics)
+
+
+@ALL
+def test_padding_of_demonstrations_changes_nothing(name: str) -> None:
+    exists = DEMOS.mask[..., None] > 0
+    assert not exists.all()
+    changed = DEMOS._replace(
+        obs=jnp.where(exists, DEMOS.obs, 30.0), action=jnp.where(exists, DEMOS.action, -30.0)
+    )
+    expected = learner(name).update(start(name), KEY, FAR, DEMOS)
+    assert_equal(learner(name).update(start(name), KEY, FAR, changed), expected)
+
+
+@ALL
+def test_the_order_of_the_tasks_does_not_matter(name: str) -> None:
+    meta, order = learner(name, seeded=True), jnp.array([2, 0, 1])
+    tasks, demos = jax.tree.map(lambda x: x[order], (SEEDED, DEMOS))
+    expected, metrics = meta.update(start(name), KEY, SEEDED, DEMOS)
+    result, permuted_metrics = meta.update(start(name), KEY, tasks, demos)
+    assert_close(result.params, expected.params)
+    assert_close(permuted_metrics, metrics)
+    mixed, _ = meta.update(start(name), KEY, tasks, DEMOS)
+    # With a task's demonstrations at another task, the result is another one, if they count at all.
+    assert differ(mixed.params, expected.params) == (name != "maml")
+
+
+@ALL
+def test_tasks_adapt_independently(name: str) -> None:
+    """In another order, with their keys and demonstrations, each comes out the same."""
+    meta, params, keys = learner(name), start(name).params, jax.random.split(KEY, 3)
+    collect, order = collector(ENV, meta.policy, 4, 0.95, 1.0), jnp.array([2, 0, 1])
+
+    @jax.jit
+    @jax.vmap
+    def adapt(key: jax.Array, task: GoalTask, demos: Demos) -> Params:
+        return meta.adapt(params, key, task, demos, collect).params
+
+    adapted = adapt(keys, FAR, DEMOS)
+    permuted = adapt(*jax.tree.map(lambda x: x[order], (keys, FAR, DEMOS)))
+    assert_close(permuted, jax.tree.map(lambda x: x[order], adapted))
+    assert differ(permuted, adapted)
+
+
+def test_emrld_without_demonstrations_is_maml_bit_for_bit() -> None:
+    plain, maml = learner("emrld", w_rl=1.0, w_bc=0.0), learner("maml")
+    result = plain.update(start("maml"), KEY, FAR, DEMOS)
+    expected = maml.update(start("maml"), KEY, FAR, DEMOS)
+    assert_equal(result, expected)
+    enhanced, _ = learner("emrld").update(start("maml"), KEY, FAR, DEMOS)
+    assert differ(enhanced.params, expected[0].params)
+
+
+def test_a_warm_start_of_rate_zero_adapts_as_emrld_does_on_the_same_episodes() -> None:
+    emrld, warm = learner("emrld"), learner("emrld_ws", warm_start_rate=0.0)
+    params = start("emrld").params
+    task, demos = jax.tree.map(lambda x: x[0], (FAR, DEMOS))
+    collect = collector(ENV, warm.policy, 4, 0.95, 1.0)
+    adapted = warm.adapt(params, KEY, task, demos, collect)
+    assert_equal(adapted.path[1], params)
+    assert adapted.rollouts[0] is None
+    stored = adapted.rollouts[1]
+    assert stored is not None
+    again = emrld.adapt(params, KEY, task, demos, lambda params, key, task: stored)
+    assert_equal(again.params, adapted.params)
+    assert differ(learner("emrld_ws").adapt(params, KEY, task, demos, collect).path[1], params)
+
+
+def test_a_warm_start_of_rate_zero_learns_as_emrld_does() -> None:
+    warm = learner("emrld_ws", warm_start_rate=0.0, seeded=True)
+    result, _ = warm.update(start("emrld"), KEY, SEEDED, DEMOS)
+    expected, _ = learner("emrld", seeded=True).update(start("emrld"), KEY, SEEDED, DEMOS)
+    assert_close(result.params, expected.params)
+
+
+def test_an_unknown_name_is_refused_with_a_hint() -> None:
+    with pytest.raises(ValueError, match="did you mean 'maml'"):
+        algorithms.make("mamll", ENV, Settings())

@@ -1,0 +1,91 @@
+"""Making demonstrations: their claims are checked, and the command writes what it says."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+import envs_jax
+from emrld_jax import demos
+from emrld_jax.demos.quality import Played, check_quality, end_distance, has_quality
+from emrld_jax.types import Demos
+from tests.conftest import Command
+
+
+def played(distance: list[list[float]], length: list[int], success: list[int]) -> Played:
+    """Episodes that are no more than their distances from the goal, [M, T]."""
+    d = jnp.asarray(distance)
+    mask = (jnp.arange(d.shape[1])[None] < jnp.asarray(length)[:, None]).astype(jnp.float32)
+    blank = jnp.zeros((*d.shape, 2))
+    return Played(Demos(blank, blank, mask), d, jnp.asarray(success, jnp.float32))
+
+
+def test_the_end_is_the_last_step_that_exists():
+    episodes = played([[1.0, 0.5, 9.0], [1.0, 0.7, 0.3]], [2, 3], [0, 0])
+    np.testing.assert_allclose(end_distance(episodes), [0.5, 0.3])
+
+
+@pytest.mark.parametrize(
+    ("name", "distance", "success", "good"),
+    [
+        ("point2d", 0.25, 0, True),
+        ("point2d", 0.05, 0, False),  # too near: it all but reached the goal
+        ("point2d", 0.50, 0, False),
+        ("point2d", 0.25, 1, False),
+        ("two_wheeled", 0.40, 0, True),
+        ("two_wheeled", 0.10, 1, True),
+        ("two_wheeled", 0.60, 0, False),
+    ],
+)
+def test_what_may_pass_as_suboptimal(name: str, distance: float, success: int, good: bool):
+    episodes = played([[2.0, distance]], [2], [success])
+    assert bool(has_quality(envs_jax.make(name), "suboptimal", episodes)[0]) is good
+
+
+def test_a_long_way_is_not_a_demonstration():
+    way = [[1.0] * 31 + [0.3] * 2]
+    assert not has_quality(envs_jax.make("two_wheeled"), "suboptimal", played(way, [32], [0]))[0]
+
+
+def test_the_error_names_the_task_at_fault():
+    episodes = played([[2.0, 0.01], [2.0, 0.9]], [2, 2], [1, 0])
+    env = envs_jax.make("point2d")
+    with pytest.raises(demos.DemoError, match=r"1 of 2 .* not optimal.* task 1 ends after 2 steps"):
+        check_quality(env, "optimal", episodes)
+
+
+def test_the_command_makes_suboptimal_demonstrations(command: Command, tmp_path: Path):
+    out = tmp_path / "demos.npz"
+    done = command("make_demos", f"out={out}", "env=point2d", "quality=suboptimal", "seed=5")
+    assert done.returncode == 0, done.stderr
+    env = envs_jax.make("point2d")
+    file = demos.load(out, env)
+    demos.check_tasks(file, env)
+    assert file.provenance["seed"] == 5
+    assert "make_demos" in file.provenance["command"]
+    for part in (file.train, file.test):
+        length = np.asarray(part.demos.mask.sum(axis=1)).astype(int)
+        rows = np.arange(len(length))
+        last = np.asarray(part.demos.obs)[rows, length - 1]
+        end = last + 0.1 * np.asarray(part.demos.action)[rows, length - 1]
+        away = np.linalg.norm(end - np.asarray(part.tasks.goal), axis=1)
+        assert (away >= 0.1 - 1e-5).all()
+        assert (away <= 0.4).all()
+        assert not np.asarray(part.success).any()
+    again = command("make_demos", f"out={out}", "env=point2d", "quality=suboptimal")
+    assert again.returncode == 2
+    assert f"{out} exists" in again.stderr
+
+
+def test_an_expert_that_trained_too_little_is_refused(command: Command, tmp_path: Path):
+    out = tmp_path / "demos.npz"
+    done = command(
+        "make_demos", f"out={out}", "env=point2d", "dense_iterations=1", "sparse_iterations=0"
+    )
+    assert done.returncode == 2
+    assert "are not optimal" in done.stderr
+    assert "Traceback" not in done.stderr
+    assert not out.exists()
