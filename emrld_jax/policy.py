@@ -23,17 +23,22 @@ ACTIVATIONS: dict[str, Callable[[jax.Array], jax.Array]] = {
 class MLP(nn.Module):
     """Dense layers with Xavier-uniform weights and zero biases; the last one is linear.
 
-    [.., O] -> [.., sizes[-1]].
+    [.., O] -> [.., sizes[-1]]. `output_scale` multiplies the last layer's initial weights.
     """
 
     sizes: Sequence[int]
     activation: str
+    output_scale: float = 1.0
 
     @nn.compact
     def __call__(self, x: jax.Array) -> jax.Array:
+        last = len(self.sizes) - 1
         for i, size in enumerate(self.sizes):
-            x = nn.Dense(size, kernel_init=nn.initializers.xavier_uniform(), name=f"layer_{i}")(x)
-            if i < len(self.sizes) - 1:
+            # variance scaling, fan average, uniform is Xavier's rule; the scale is of the variance
+            scale = self.output_scale**2 if i == last else 1.0
+            weights = nn.initializers.variance_scaling(scale, "fan_avg", "uniform")
+            x = nn.Dense(size, kernel_init=weights, name=f"layer_{i}")(x)
+            if i < last:
                 x = ACTIVATIONS[self.activation](x)
         return x
 
@@ -52,16 +57,18 @@ def gaussian_policy(
     hidden_sizes: Sequence[int] = (100, 100),
     activation: str = "tanh",
     std: float = 0.5,
+    output_scale: float = 1.0,
     learn_std: bool = False,
 ) -> Policy:
     """A Gaussian policy whose mean is an MLP of the observation (supplement, section C).
 
     Args:
         std: standard deviation of every action dimension, in policy units.
+        output_scale: factor on the last layer's initial weights.
         learn_std: make the logarithm of the standard deviation a parameter, starting from `std`;
             otherwise it is constant, as in the paper.
     """
-    network = MLP((*hidden_sizes, action_size), activation)
+    network = MLP((*hidden_sizes, action_size), activation, output_scale)
     initial = jnp.full(action_size, jnp.log(std))
 
     def init(key: jax.Array) -> Params:

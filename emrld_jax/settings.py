@@ -81,6 +81,9 @@ class PolicySettings:
     hidden_sizes: list[int] = setting([100, 100], "units of each hidden layer", at_least=1)
     activation: str = setting("tanh", "the hidden units' function", choices=tuple(ACTIVATIONS))
     std: float = setting(0.5, "standard deviation of an action, in policy units", above=0)
+    output_scale: float = setting(
+        1.0, "factor on the last layer's initial weights; small: all seeds start alike", above=0
+    )
     learn_std: bool = setting(False, "learn the standard deviation, starting from policy.std")
 
 

@@ -29,6 +29,7 @@ def trpo_learner(env: Env, settings: Settings, inner_steps: InnerSteps) -> MetaL
         hidden_sizes=net.hidden_sizes,
         activation=net.activation,
         std=net.std,
+        output_scale=net.output_scale,
         learn_std=net.learn_std,
     )
     return meta_learner(

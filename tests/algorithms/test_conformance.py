@@ -1,8 +1,12 @@
-"""What every algorithm keeps, over `algorithms.names()`; and identities between algorithms."""
+"""What every algorithm keeps, over `algorithms.names()`; and identities between algorithms.
+
+In float64, so that rounding cannot hide a difference or make one; the first test is in float32.
+"""
 
 from __future__ import annotations
 
 import logging
+from collections.abc import Iterator
 from functools import cache
 from typing import Any, NamedTuple
 
@@ -26,9 +30,11 @@ from tests.meta.problems import random_demos, stacked
 
 ALL = pytest.mark.parametrize("name", algorithms.names())
 ENV = envs_jax.make("point2d", reward="dense", horizon=8, goal_radius=0.15)
-FAR = GoalTask(2.0 * jnp.array([[1.0, 0.0], [0.0, 1.0], [-1.0, 0.0]]))  # never reached
-NEAR = GoalTask(jnp.array([[0.2, 0.0], [0.0, 0.25], [-0.2, 0.1]]))  # often reached
-DEMOS = stacked([random_demos(m) for m in range(3)])
+# NumPy arrays, which JAX takes in the precision that a test asks for.
+FAR = GoalTask(2.0 * np.array([[1.0, 0.0], [0.0, 1.0], [-1.0, 0.0]]))  # type: ignore[arg-type]
+NEAR = GoalTask(0.2 * np.array([[1.0, 0.0], [0.0, 1.0], [-1.0, 0.0]]))  # type: ignore[arg-type]
+DEMOS = jax.tree.map(np.asarray, stacked([random_demos(m) for m in range(3)]))
+ORDER = np.array([2, 0, 1])
 KEY = jax.random.key(7)
 
 
@@ -39,7 +45,7 @@ class Seeded(NamedTuple):
     seed: jax.Array
 
 
-SEEDED = Seeded(FAR, jnp.arange(3))
+SEEDED = Seeded(FAR, np.arange(3))  # type: ignore[arg-type]
 
 
 def seeded_collector(env: Env, policy: Policy, *arguments: Any) -> Collect:
@@ -66,8 +72,7 @@ def learner(
         w_bc=w_bc,
         policy=PolicySettings(hidden_sizes=[8]),
         adapt=AdaptSettings(num_episodes=4, learning_rate=0.1, warm_start_rate=warm_start_rate),
-        # Well conditioned, so that rounding stays small through the conjugate gradient.
-        meta=MetaSettings(fisher_every=2, damping=0.1, cg_iterations=5),
+        meta=MetaSettings(fisher_every=2),
     )
     with pytest.MonkeyPatch.context() as patch:
         if seeded:
@@ -75,8 +80,15 @@ def learner(
         return algorithms.make(name, ENV, settings)
 
 
+@pytest.fixture(autouse=True)
+def _float64() -> Iterator[None]:
+    with jax.enable_x64(True):
+        yield
+
+
 def start(name: str) -> MetaState:
-    return learner(name).init(jax.random.key(0))
+    state = learner(name).init(jax.random.key(0))
+    return jax.tree.map(jnp.float64, state)
 
 
 def assert_equal(result: Any, expected: Any) -> None:
@@ -84,22 +96,24 @@ def assert_equal(result: Any, expected: Any) -> None:
 
 
 def assert_close(result: Any, expected: Any) -> None:
-    jax.tree.map(lambda a, b: np.testing.assert_allclose(a, b, atol=1e-5), result, expected)
+    jax.tree.map(lambda a, b: np.testing.assert_allclose(a, b, atol=1e-9), result, expected)
 
 
 def differ(a: Any, b: Any) -> bool:
     pairs = zip(jax.tree.leaves(a), jax.tree.leaves(b), strict=True)
-    return any(not np.allclose(x, y, atol=2e-3) for x, y in pairs)
+    return any(not np.allclose(x, y, atol=1e-4) for x, y in pairs)
 
 
 @ALL
 def test_an_update_learns_something_and_reports_finite_numbers(name: str) -> None:
-    state, metrics = learner(name).update(start(name), KEY, FAR, DEMOS)
-    assert differ(state.params, start(name).params)
-    assert all(np.isfinite(leaf).all() for leaf in jax.tree.leaves(state.params))
-    for metric, value in metrics.items():
-        assert value.shape == (), metric
-        assert np.isfinite(value), metric
+    with jax.enable_x64(False):
+        fresh = learner.__wrapped__(name)  # not one with constants in float64
+        before = fresh.init(jax.random.key(0))
+        state, metrics = fresh.update(before, KEY, FAR, DEMOS)
+    assert differ(state.params, before.params)
+    for leaf in jax.tree.leaves((state.params, metrics)):
+        assert leaf.dtype == jnp.float32
+        assert np.isfinite(leaf).all()
 
 
 @ALL
@@ -111,6 +125,7 @@ def test_metrics_are_named_by_phase(name: str) -> None:
     for what in ("success", "length"):
         assert {f"adapt/{what}_{stage}" for stage in stages} <= metrics.keys()
     assert "outer/loss" in metrics
+    assert all(value.shape == () for value in metrics.values())
 
 
 @ALL
@@ -140,7 +155,7 @@ def test_leaving_out_what_comes_after_ends_changes_nothing(
     name: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     packed, metrics = learner(name).update(start(name), KEY, NEAR, DEMOS)
-    assert float(metrics["adapt/length_0"]) < 0.75 * ENV.horizon
+    assert float(metrics["adapt/length_0"]) < 0.9 * ENV.horizon
     monkeypatch.setattr(learner_module, "BUCKETS", (1.0,))
     whole, whole_metrics = learner(name).update(start(name), KEY, NEAR, DEMOS)
     assert differ(whole.params, start(name).params)
@@ -161,8 +176,8 @@ def test_padding_of_demonstrations_changes_nothing(name: str) -> None:
 
 @ALL
 def test_the_order_of_the_tasks_does_not_matter(name: str) -> None:
-    meta, order = learner(name, seeded=True), jnp.array([2, 0, 1])
-    tasks, demos = jax.tree.map(lambda x: x[order], (SEEDED, DEMOS))
+    meta = learner(name, seeded=True)
+    tasks, demos = jax.tree.map(lambda x: x[ORDER], (SEEDED, DEMOS))
     expected, metrics = meta.update(start(name), KEY, SEEDED, DEMOS)
     result, permuted_metrics = meta.update(start(name), KEY, tasks, demos)
     assert_close(result.params, expected.params)
@@ -176,7 +191,7 @@ def test_the_order_of_the_tasks_does_not_matter(name: str) -> None:
 def test_tasks_adapt_independently(name: str) -> None:
     """In another order, with their keys and demonstrations, each comes out the same."""
     meta, params, keys = learner(name), start(name).params, jax.random.split(KEY, 3)
-    collect, order = collector(ENV, meta.policy, 4, 0.95, 1.0), jnp.array([2, 0, 1])
+    collect = collector(ENV, meta.policy, 4, 0.95, 1.0)
 
     @jax.jit
     @jax.vmap
@@ -184,8 +199,8 @@ def test_tasks_adapt_independently(name: str) -> None:
         return meta.adapt(params, key, task, demos, collect).params
 
     adapted = adapt(keys, FAR, DEMOS)
-    permuted = adapt(*jax.tree.map(lambda x: x[order], (keys, FAR, DEMOS)))
-    assert_close(permuted, jax.tree.map(lambda x: x[order], adapted))
+    permuted = adapt(*jax.tree.map(lambda x: x[ORDER], (keys, FAR, DEMOS)))
+    assert_close(permuted, jax.tree.map(lambda x: x[ORDER], adapted))
     assert differ(permuted, adapted)
 
 
