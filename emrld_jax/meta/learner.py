@@ -22,7 +22,7 @@ from emrld_jax.sampling.rollouts import (
 from emrld_jax.types import Collect, Demos, Gaussian, Params, Rollout, Task
 
 # Sizes, as parts of all steps, that a batch of gathered steps is padded to: each compiles once.
-BUCKETS = (0.125, 0.25, 0.375, 0.5, 0.75, 1.0)
+BUCKETS = (0.25, 0.5, 1.0)
 
 
 class MetaState(NamedTuple):

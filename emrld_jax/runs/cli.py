@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import os
 import sys
 from collections.abc import Callable, Sequence
 from difflib import get_close_matches
 from pathlib import Path
 from typing import Any, NoReturn
 
+import jax
 from hydra import compose, initialize_config_dir
 from hydra.core.config_store import ConfigStore
 from hydra.core.override_parser.overrides_parser import OverridesParser
@@ -93,6 +95,7 @@ def parse(arguments: Sequence[str], schema: Any, options: dict[str, tuple[str, .
 
 def run_command(main: Callable[[], int]) -> NoReturn:
     """Runs a command and exits; what the user can mend is told in one message, no traceback."""
+    _keep_compiled_programs()
     try:
         code = main()
     except (ConfigError, DemoError) as error:
@@ -102,6 +105,13 @@ def run_command(main: Callable[[], int]) -> NoReturn:
         print("interrupted before anything was saved", file=sys.stderr)
         code = 130
     sys.exit(code)
+
+
+def _keep_compiled_programs() -> None:
+    """Lets JAX keep what it compiles in the user's cache folder, unless it is told another place."""
+    if jax.config.jax_compilation_cache_dir is None:
+        cache = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache")
+        jax.config.update("jax_compilation_cache_dir", str(cache / "emrld_jax" / "compiled"))
 
 
 def asks_for_help(arguments: Sequence[str]) -> bool:

@@ -90,9 +90,9 @@ def test_some_updates_raise_the_return_and_the_tasks_are_told_apart() -> None:
         assert all(np.isfinite(value) for value in metrics.values())
         returns.append(float(metrics["expert/return"]))
         assert float(metrics["outer/kl"]) < 0.05
-    # Standing still returns -40, going straight -21.
+    # Standing still returns -40, going straight -19.
     first, last = np.mean(returns[:3]), np.mean(returns[-3:])
-    assert last > first + 4
+    assert last > first + 8
     best = jax.jit(
         jax.vmap(
             lambda task: episode(
@@ -120,7 +120,7 @@ def test_the_value_network_learns_the_returns() -> None:
     tasks = GoalTask(jnp.array([[1.0, 0.0], [0.0, 3.0]]))
     one = expert(env, num_episodes=4, max_kl=1e-6, value_steps=100)
     state = one.init(KEY)
-    for i in range(12):
+    for i in range(4):
         state, _ = one.update(state, jax.random.key(i), tasks)
     network = MLP((16, 16, 1), "tanh")
     for goal, distance in zip(tasks.goal, (1.0, 3.0), strict=True):
@@ -129,4 +129,4 @@ def test_the_value_network_learns_the_returns() -> None:
         value = 100.0 * float(output[0])
         # The policy hardly moves: about the distance for 8 steps, discounted by 0.99.
         expected = -distance * sum(0.99**t for t in range(8))
-        assert abs(value - expected) < 0.2 * abs(expected)
+        assert abs(value - expected) < 0.4 * abs(expected)
