@@ -108,8 +108,8 @@ def run_command(main: Callable[[], int]) -> NoReturn:
 
 
 def _keep_compiled_programs() -> None:
-    """Lets JAX keep what it compiles in the user's cache folder, unless it is told another place."""
-    if jax.config.jax_compilation_cache_dir is None:
+    """Lets JAX keep what it compiles in the user's cache folder, unless told another place."""
+    if "JAX_COMPILATION_CACHE_DIR" not in os.environ:
         cache = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache")
         jax.config.update("jax_compilation_cache_dir", str(cache / "emrld_jax" / "compiled"))
 
