@@ -19,7 +19,7 @@ import envs_jax
 from emrld_jax import algorithms
 from emrld_jax.algorithms import parts
 from emrld_jax.meta import learner as learner_module
-from emrld_jax.meta.learner import MetaLearner, MetaState
+from emrld_jax.meta.learner import MetaLearner, MetaState, bucket
 from emrld_jax.policy import Policy
 from emrld_jax.sampling.rollouts import collector
 from emrld_jax.settings import AdaptSettings, MetaSettings, PolicySettings, Settings
@@ -32,7 +32,7 @@ ALL = pytest.mark.parametrize("name", algorithms.names())
 ENV = envs_jax.make("point2d", reward="dense", horizon=8, goal_radius=0.15)
 # NumPy arrays, which JAX takes in the precision that a test asks for.
 FAR = GoalTask(2.0 * np.array([[1.0, 0.0], [0.0, 1.0], [-1.0, 0.0]]))  # type: ignore[arg-type]
-NEAR = GoalTask(0.2 * np.array([[1.0, 0.0], [0.0, 1.0], [-1.0, 0.0]]))  # type: ignore[arg-type]
+NEAR = GoalTask(FAR.goal / 16)  # often reached in the first step
 DEMOS = jax.tree.map(np.asarray, stacked([random_demos(m) for m in range(3)]))
 ORDER = np.array([2, 0, 1])
 KEY = jax.random.key(7)
@@ -156,10 +156,18 @@ def test_a_second_update_compiles_nothing(name: str, caplog: pytest.LogCaptureFi
 def test_leaving_out_what_comes_after_ends_changes_nothing(
     name: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
+    sizes: list[int] = []
+
+    def spied(rollouts: Rollout) -> int:
+        sizes.append(bucket(rollouts))
+        return sizes[-1]
+
+    monkeypatch.setattr(learner_module, "bucket", spied)
     packed, metrics = learner(name).update(start(name), KEY, NEAR, DEMOS)
-    assert float(metrics["adapt/length_0"]) < 0.9 * ENV.horizon
+    assert 3 < min(sizes) < 32  # of 4 episodes of 8 steps
     monkeypatch.setattr(learner_module, "BUCKETS", (1.0,))
     whole, whole_metrics = learner(name).update(start(name), KEY, NEAR, DEMOS)
+    assert sizes[-1] == 32
     assert differ(whole.params, start(name).params)
     assert_close(packed.params, whole.params)
     assert_close(metrics, whole_metrics)
