@@ -1,0 +1,1 @@
+"""Bridges between policies and robots; none is built yet."""
