@@ -86,9 +86,9 @@ def test_some_updates_raise_the_return_and_the_tasks_are_told_apart() -> None:
     env = envs_jax.make("point2d", reward="dense", horizon=20)
     tasks = GoalTask(2.0 * jnp.array([[1.0, 0.0], [-1.0, 0.0]]))
     one = small_expert(env, num_episodes=8, max_kl=0.04)
-    state, returns = one.init(KEY), []
+    state, returns = one.init(jax.random.key(2)), []
     for i in range(25):
-        state, metrics = one.update(state, jax.random.key(i), tasks)
+        state, metrics = one.update(state, jax.random.key(200 + i), tasks)
         assert all(np.isfinite(value) for value in metrics.values())
         assert float(metrics["outer/kl"]) < 0.04
         returns.append(float(metrics["expert/return"]))
@@ -102,8 +102,8 @@ def test_some_updates_raise_the_return_and_the_tasks_are_told_apart() -> None:
         return episode(env, own, state.policy, KEY, task).obs[-1]
 
     ends = end(tasks)
-    assert float(ends[0, 0]) > 0.2
-    assert float(ends[1, 0]) < -0.2
+    assert float(ends[0, 0]) > 0.3
+    assert float(ends[1, 0]) < -0.3
 
 
 def test_the_value_network_learns_the_returns_and_the_same_keys_give_the_same() -> None:
