@@ -92,8 +92,9 @@ def make_file(config: MakeDemosConfig, out: Path) -> None:
 
         file = make_demos(config.env, config.quality, config.seed, training, report)
     figures = {"train": summary(file.train), "test": summary(file.test)}
+    told = [argument for argument in sys.argv[1:] if not argument.startswith("out=")]
     origin = provenance(
-        command=" ".join(["python -m emrld_jax.make_demos", *sys.argv[1:]]),
+        command=" ".join(["python -m emrld_jax.make_demos", *told]),
         seed=config.seed,
         **software(),
         figures=figures,
