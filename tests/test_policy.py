@@ -114,6 +114,16 @@ def test_weights_are_xavier_uniform_and_biases_zero() -> None:
         np.testing.assert_array_equal(bias, np.zeros(outputs))
 
 
+def test_the_output_scale_is_a_factor_on_the_last_layers_weights_alone() -> None:
+    plain, small = (
+        gaussian_policy(3, 2, hidden_sizes=(8, 6), output_scale=scale).init(jax.random.key(0))
+        for scale in (1.0, 0.01)
+    )
+    for i, factor in enumerate((1.0, 1.0, 0.01)):
+        layer, scaled = (params["params"][f"layer_{i}"]["kernel"] for params in (plain, small))
+        np.testing.assert_allclose(scaled, factor * layer, rtol=1e-5)
+
+
 @pytest.mark.parametrize("activation", ACTIVATIONS)
 def test_the_mean_is_the_networks_formula(activation: str) -> None:
     policy = gaussian_policy(3, 2, hidden_sizes=(8, 6), activation=activation)

@@ -10,6 +10,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
+from emrld_jax.meta import learner as learner_module
 from emrld_jax.meta.inner import InnerStep, enhanced_loss
 from emrld_jax.meta.learner import BUCKETS, MetaLearner, bucket, meta_learner
 from emrld_jax.meta.outer import surrogate_objective
@@ -38,7 +39,10 @@ def canned(lengths: tuple[int, ...], seed: int = 0) -> Rollout:
     ("living", "size"),
     [(1, 5), (5, 5), (6, 10), (15, 15), (16, 20), (21, 30), (31, 40), (40, 40)],
 )
-def test_the_bucket_is_the_smallest_that_holds_the_longest_task(living: int, size: int) -> None:
+def test_the_bucket_is_the_smallest_that_holds_the_longest_task(
+    living: int, size: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(learner_module, "BUCKETS", (0.125, 0.25, 0.375, 0.5, 0.75, 1.0))
     lengths = [min(HORIZON, max(0, living - HORIZON * e)) for e in range(EPISODES)]
     batch = stacked([canned((1, 0, 0, 0)), canned(tuple(lengths))])
     assert bucket(batch) == size
