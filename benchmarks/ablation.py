@@ -17,11 +17,13 @@ from benchmarks.jobs import Job, run_all, write_results
 VARIANTS: dict[str, tuple[str, ...]] = {
     "defaults": (),
     "adapt.learning_rate=0.01": ("adapt.learning_rate=0.01",),
+    "adapt.learning_rate=0.004": ("adapt.learning_rate=0.004",),
     "adapt.learning_rate=0.002": ("adapt.learning_rate=0.002",),
     "policy.activation=relu": ("policy.activation=relu",),
     "policy.activation=silu": ("policy.activation=silu",),
     "policy.std=0.3": ("policy.std=0.3",),
     "policy.std=0.8 adapt.learning_rate=0.01": ("policy.std=0.8", "adapt.learning_rate=0.01"),
+    "policy.output_scale=0.01": ("policy.output_scale=0.01",),
     "policy.learn_std=true": ("policy.learn_std=true",),
     "meta.max_kl=0.01": ("meta.max_kl=0.01",),
     "meta.fisher_every=1": ("meta.fisher_every=1",),

@@ -68,11 +68,13 @@ def run_all(jobs: Sequence[Job]) -> None:
         log = job.runs / "logs" / f"{job.env}-{job.algo}-{job.demos}-{job.seed}.log"
         log.parent.mkdir(parents=True, exist_ok=True)
         command = ["taskset", "-c", str(core), *job.command()]
-        with log.open("a") as out:
-            code = subprocess.run(
-                command, check=False, env=environment, stdout=out, stderr=out
-            ).returncode
-        cores.put(core)
+        try:
+            with log.open("a") as out:
+                code = subprocess.run(
+                    command, check=False, env=environment, stdout=out, stderr=out
+                ).returncode
+        finally:
+            cores.put(core)
         print(f"{job.folder}: {'done' if code == 0 else f'failed, see {log}'}", flush=True)
 
     with ThreadPoolExecutor(cores.qsize()) as pool:
@@ -83,13 +85,12 @@ def write_results(
     name: str, jobs: Sequence[Job], rows: Sequence[dict[str, Any]], text: str
 ) -> None:
     """Writes a table and its numbers with where they come from into `benchmarks/results/`."""
+    if not jobs:
+        raise SystemExit("no run is finished yet")
     origins = [json.loads((job.folder / "provenance.json").read_text()) for job in jobs]
     record = {
         "command": f"python -m benchmarks.{name} " + " ".join(sys.argv[1:]),
-        "code": origins[0]["code"],
-        "other_commits": sorted(
-            {o["code"]["commit"] for o in origins[1:]} - {origins[0]["code"]["commit"]}
-        ),
+        "code": [dict(code) for code in {tuple(sorted(o["code"].items())) for o in origins}],
         "packages": origins[0]["packages"],
         "machine": origins[0]["machine"],
         "training_s": sum(r["time/iteration_s"] for job in jobs for r in job.metrics()),

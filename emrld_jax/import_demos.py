@@ -24,6 +24,9 @@ def main(argv: Sequence[str] | None = None) -> int:
     parser.add_argument("--out", required=True, type=Path, help="the demonstration file to write")
     words = sys.argv[1:] if argv is None else list(argv)
     arguments = parser.parse_args(words)
+    if arguments.out.exists():
+        print(f"error: {arguments.out} exists; choose another file", file=sys.stderr)
+        return 2
     command = shlex.join(["python", "-m", "emrld_jax.import_demos", *words])
     try:
         file = import_file(arguments.file, arguments.env, arguments.quality, command)

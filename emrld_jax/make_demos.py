@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import sys
+import tempfile
 import time
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -11,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from emrld_jax.demos import DemoSet
-from emrld_jax.demos.quality import QUALITIES
+from emrld_jax.demos.shipped import QUALITIES
 from emrld_jax.runs import cli
 from emrld_jax.runs.config import ConfigError, check_config
 from emrld_jax.runs.usage import usage
@@ -61,8 +62,23 @@ def main() -> int:
         raise ConfigError(f"out={out} must end in .npz")
     if out.exists():
         raise ConfigError(f"{out} exists; choose another file with out=PATH")
+    check_writable(out)
     make_file(config, out)
     return 0
+
+
+def check_writable(out: Path) -> None:
+    """Makes the folder of a file and refuses one that nothing can be written into.
+
+    Raises:
+        ConfigError: names the file and what the system says.
+    """
+    try:
+        out.parent.mkdir(parents=True, exist_ok=True)
+        with tempfile.TemporaryFile(dir=out.parent):
+            pass
+    except OSError as error:
+        raise ConfigError(f"out={out} cannot be written: {error}") from error
 
 
 def make_file(config: MakeDemosConfig, out: Path) -> None:

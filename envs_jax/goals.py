@@ -69,4 +69,4 @@ def check_parameters(reward: str, horizon: int, reward_radius: float, **sizes: f
         raise ValueError(f"horizon={horizon} must be at least 1 step")
     for name, value in {"reward_radius": reward_radius, **sizes}.items():
         if not 0 < value < float("inf"):
-            raise ValueError(f"{name}={value} must be a positive number of metres")
+            raise ValueError(f"{name}={value} must be a positive number of meters")

@@ -45,6 +45,7 @@ def check_arrays(path: Path, arrays: Arrays, env: Env, *, from_reset: bool) -> N
         where = f"{path}: {split}"
         _check_shapes(where, part, env)
         _check_numbers(where, part)
+        _check_tasks(where, part, env)
         _check_actions(where, part, env)
         if from_reset:
             _check_starts(where, part, env)
@@ -87,6 +88,21 @@ def _check_numbers(where: str, part: Arrays) -> None:
     for key in ("obs", "action"):
         if part[key][padding].any():
             raise DemoError(f"{where}/{key} is not zero after the end of a demonstration (padding)")
+
+
+def _check_tasks(where: str, part: Arrays, env: Env) -> None:
+    """A task's numbers must lie where the environment's own do, give or take their whole range."""
+    for name, own in env.train_tasks()._asdict().items():
+        values = np.asarray(own)
+        low, high = values.min(axis=0), values.max(axis=0)
+        span = np.maximum(high - low, 1e-6)
+        wrong = (part[name] < low - span) | (part[name] > high + span)
+        if wrong.any():
+            row = int(wrong.reshape(len(wrong), -1).any(axis=1).argmax())
+            raise DemoError(
+                f"{where}/{name}[{row}] is {part[name][row]}, far from any task of {env.name}; "
+                f"allowed: {low - span} to {high + span}"
+            )
 
 
 def _check_actions(where: str, part: Arrays, env: Env) -> None:

@@ -16,8 +16,8 @@ import jax.numpy as jnp
 import optax
 
 from emrld_jax.meta.inner import masked_mean
-from emrld_jax.meta.outer import Objective, surrogate_objective
-from emrld_jax.meta.trpo import Metrics, OuterOptimizer, trpo
+from emrld_jax.meta.outer import Metrics, Objective, OuterOptimizer, surrogate_objective
+from emrld_jax.meta.trpo import trpo
 from emrld_jax.policy import MLP, Policy, gaussian_policy
 from emrld_jax.sampling.advantages import discounted_sum, gae, normalize
 from emrld_jax.sampling.rollouts import episode, episode_returns, episode_successes

@@ -8,11 +8,12 @@ from typing import NamedTuple
 import jax
 import jax.numpy as jnp
 
+from emrld_jax.demos.archive import DemoError
 from emrld_jax.demos.expert import expert
 from emrld_jax.demos.format import DemoFile, DemoSet
 from emrld_jax.demos.quality import Played, best_try, check_quality, has_quality, near_misses
 from emrld_jax.demos.replay import replay
-from emrld_jax.meta.trpo import Metrics
+from emrld_jax.meta.outer import Metrics
 from emrld_jax.policy import Policy
 from emrld_jax.types import Params, Task
 from envs_jax import Env, make
@@ -85,6 +86,7 @@ def early_expert(
     for i in range(training.dense_iterations):
         state, metrics = learner.update(state, jax.random.fold_in(dense_key, i), tasks)
         report("dense", i + 1, metrics)
+        # with the same noise each time: only the expert's progress decides when it is good enough
         played = near_misses(name, learner.policy, state.policy, play_key, tasks)
         if bool(has_quality(env, "suboptimal", played).all()):
             break
@@ -99,6 +101,9 @@ def _as_file(env: Env, quality: str, train: Task, test: Task, played: Played) ->
         demos = jax.tree.map(lambda x: x[rows], played.demos)
         longest = int(jnp.max(jnp.sum(demos.mask, axis=1)))
         demos = jax.tree.map(lambda x: x[:, :longest], demos)
-        return DemoSet(demos, tasks, *replay(env, tasks, demos))
+        returns, success = replay(env, tasks, demos)
+        if not jnp.array_equal(success, played.success[rows] > 0):
+            raise DemoError(f"{env.name}: replayed demonstrations do not end as they were played")
+        return DemoSet(demos, tasks, returns, success)
 
     return DemoFile(env.name, quality, part(slice(size), train), part(slice(size, None), test))

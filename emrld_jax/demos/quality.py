@@ -15,14 +15,24 @@ from emrld_jax.sampling.rollouts import episode, episode_successes
 from emrld_jax.types import Demos, Params, Task
 from envs_jax import Env, make
 
-QUALITIES = ("optimal", "suboptimal")
 CANDIDATES = 64  # noisy episodes a task, of which the first that fits is kept
-# The longest a sub-optimal demonstration may be, about 1.5 times the straight way at full speed; a
-# longer one wanders too much to demonstrate anything.
-MAX_NOISY_STEPS = {"point2d": 30, "two_wheeled": 31, "two_wheeled_drift": 45}
-# Where a sub-optimal Point2D demonstration may end: outside the success radius, yet near (m). It
-# stops at the first step closer than the middle.
-NEAR_MISS = (0.1, 0.4)
+
+
+class Rule(NamedTuple):
+    """What a sub-optimal demonstration is in an environment."""
+
+    max_steps: int  # about 1.5 times the straight way at full speed; a longer one wanders
+    nearest: float  # m: how near to the goal it may end
+    farthest: float  # m: how far from the goal it may end
+    may_reach: bool  # whether it may succeed; else it stops once it is near
+
+
+# Point2D's demonstrations come near and reach nothing; the wheeled ones end in the reward zone.
+SUBOPTIMAL = {
+    "point2d": Rule(30, 0.1, 0.4, may_reach=False),
+    "two_wheeled": Rule(31, 0.0, 0.5, may_reach=True),
+    "two_wheeled_drift": Rule(45, 0.0, 0.5, may_reach=True),
+}
 
 
 class Played(NamedTuple):
@@ -70,16 +80,29 @@ def near_misses(name: str, policy: Policy, params: Params, key: jax.Array, tasks
 def has_quality(env: Env, quality: str, played: Played) -> jax.Array:
     """Whether episodes are what they claim, [..] bool.
 
-    Optimal ones reach the goal. Sub-optimal ones are short and end in the reward zone; on Point2D,
-    whose zone is small, they end near the goal and do not reach it.
+    Optimal ones reach the goal. Sub-optimal ones satisfy the environment's rule.
     """
     reached, distance = played.success > 0, end_distance(played)
     if quality == "optimal":
         return reached
-    short = jnp.sum(played.demos.mask, axis=-1) <= MAX_NOISY_STEPS[env.name]
-    if env.name == "point2d":
-        return short & ~reached & (distance >= NEAR_MISS[0]) & (distance <= NEAR_MISS[1])
-    return short & (distance <= env.reward_radius)
+    rule = suboptimal_rule(env)
+    short = jnp.sum(played.demos.mask, axis=-1) <= rule.max_steps
+    near = (distance >= rule.nearest) & (distance <= rule.farthest)
+    return short & near & (rule.may_reach | ~reached)
+
+
+def suboptimal_rule(env: Env) -> Rule:
+    """What a sub-optimal demonstration is in this environment.
+
+    Raises:
+        DemoError: nobody has said so yet.
+    """
+    if env.name not in SUBOPTIMAL:
+        raise DemoError(
+            f"what suboptimal means is not defined for {env.name}, only for "
+            f"{', '.join(SUBOPTIMAL)}; add a Rule in emrld_jax/demos/quality.py"
+        )
+    return SUBOPTIMAL[env.name]
 
 
 def check_quality(env: Env, quality: str, played: Played) -> None:
@@ -93,18 +116,14 @@ def check_quality(env: Env, quality: str, played: Played) -> None:
         return
     row = int(jnp.argmin(good))
     steps, distance = played.demos.mask[row].sum(), end_distance(played)[row]
-    claims = {
-        "optimal": "reach its goal",
-        "suboptimal": f"in at most {MAX_NOISY_STEPS[env.name]} steps come "
-        + (
-            f"{NEAR_MISS[0]} to {NEAR_MISS[1]} m near its goal and not reach it"
-            if env.name == "point2d"
-            else f"within {env.reward_radius} m of its goal"
-        ),
-    }
+    claim = "reach its goal"
+    if quality == "suboptimal":
+        rule = suboptimal_rule(env)
+        claim = f"end {rule.nearest} to {rule.farthest} m from its goal after at most "
+        claim += f"{rule.max_steps} steps" + ("" if rule.may_reach else " and not reach it")
     raise DemoError(
         f"{env.name}: {int((~good).sum())} of {len(good)} demonstrations are not {quality}: each "
-        f"must {claims[quality]}, but that of task {row} ends after {int(steps)} steps "
+        f"must {claim}, but that of task {row} ends after {int(steps)} steps "
         f"{float(distance):.3f} m away (reached: {bool(played.success[row] > 0)}); train the "
         "expert longer or with another seed"
     )
@@ -117,11 +136,12 @@ def end_distance(played: Played) -> jax.Array:
 
 
 def _cut(env: Env, noisy: Played) -> Played:
-    """One episode up to where it came nearest to the goal; on Point2D, to where it came near."""
+    """One episode up to where it came nearest to the goal, or near if it may not reach it."""
     distance = jnp.where(noisy.demos.mask > 0, noisy.distance, jnp.inf)
     last = jnp.argmin(distance)
-    if env.name == "point2d":
-        near = distance <= 0.5 * sum(NEAR_MISS)
+    rule = suboptimal_rule(env)
+    if not rule.may_reach:
+        near = distance <= 0.5 * (rule.nearest + rule.farthest)
         last = jnp.where(jnp.any(near), jnp.argmax(near), last)
     mask = noisy.demos.mask * (jnp.arange(env.horizon) <= last)
     whole = jnp.sum(mask) == jnp.sum(noisy.demos.mask)

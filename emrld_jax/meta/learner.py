@@ -10,8 +10,7 @@ import jax
 import jax.numpy as jnp
 
 from emrld_jax.meta.adaptation import Adapted, InnerSteps, Rollouts, adapt, readapt
-from emrld_jax.meta.outer import Objective
-from emrld_jax.meta.trpo import Metrics, OuterOptimizer
+from emrld_jax.meta.outer import Metrics, Objective, OuterOptimizer
 from emrld_jax.policy import Policy
 from emrld_jax.sampling.rollouts import (
     episode_returns,

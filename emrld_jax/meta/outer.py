@@ -1,4 +1,4 @@
-"""Outer objectives: functions of the meta-parameters, through the adaptation, over many tasks."""
+"""Outer objectives, functions of the meta-parameters, and what an optimizer of them is."""
 
 from __future__ import annotations
 
@@ -12,6 +12,8 @@ from emrld_jax.meta.inner import masked_mean
 from emrld_jax.policy import kl_divergence, log_prob
 from emrld_jax.types import Gaussian, Params, Rollout
 
+Metrics = dict[str, jax.Array]
+
 
 class Objective(NamedTuple):
     """A loss of a model's outputs, and how far outputs are from the old ones.
@@ -23,6 +25,16 @@ class Objective(NamedTuple):
     outputs: Callable[[Params], Any]
     loss: Callable[[Any, Any], jax.Array]  # (new outputs, old outputs) -> []
     divergence: Callable[[Any, Any], jax.Array]  # (new, old) -> [], least where they are equal
+
+
+class OuterOptimizer(NamedTuple):
+    """Something that improves parameters on an objective, as pure functions."""
+
+    init: Callable[[Params], Any]  # (params) -> opt_state
+    # (objective, curvature, params, opt_state) -> (params, opt_state, metrics), where `curvature`
+    # is the same objective, perhaps on a sample of the data, for optimizers that use second
+    # derivatives
+    update: Callable[[Objective, Objective, Params, Any], tuple[Params, Any, Metrics]]
 
 
 def surrogate(new: Gaussian, old: Gaussian, rollout: Rollout) -> jax.Array:

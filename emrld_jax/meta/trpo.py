@@ -12,20 +12,8 @@ import jax
 import jax.numpy as jnp
 from jax.flatten_util import ravel_pytree
 
-from emrld_jax.meta.outer import Objective
+from emrld_jax.meta.outer import Metrics, Objective, OuterOptimizer
 from emrld_jax.types import Params
-
-Metrics = dict[str, jax.Array]
-
-
-class OuterOptimizer(NamedTuple):
-    """Something that improves parameters on an objective, as pure functions."""
-
-    init: Callable[[Params], Any]  # (params) -> opt_state
-    # (objective, curvature, params, opt_state) -> (params, opt_state, metrics), where `curvature`
-    # is the same objective, perhaps on a sample of the data, for optimizers that use second
-    # derivatives
-    update: Callable[[Objective, Objective, Params, Any], tuple[Params, Any, Metrics]]
 
 
 class Line(NamedTuple):

@@ -35,10 +35,14 @@ def _float64() -> Iterator[None]:
         yield
 
 
-def meta_loss(steps: int, first_order: bool = False) -> tuple[Callable, Params]:
+WARM_START = InnerStep(enhanced_loss(0.0, 1.0), RATE, on_policy=False, first_order=False)
+
+
+def meta_loss(steps: int, first_order: bool = False, warm: bool = False) -> tuple[Callable, Params]:
     """The outer loss as a function of the meta-parameters; old outputs are those at `params`."""
     policy, params = small_policy()
-    objective = adapted_objective(policy, enhanced_steps(steps, RATE, first_order))[0]
+    inner_steps = enhanced_steps(steps, RATE, first_order)
+    objective = adapted_objective(policy, (WARM_START, *inner_steps) if warm else inner_steps)[0]
     shifted = jax.tree.map(lambda x: x + 0.05, params)  # so that ratios are not all 1
     old = jax.jit(objective.outputs)(params)
     return jax.jit(lambda p: objective.loss(objective.outputs(p), old)), shifted
@@ -54,9 +58,9 @@ def differences(loss: Callable, params: Params, step: float = 1e-5) -> np.ndarra
     return result
 
 
-@pytest.mark.parametrize("steps", [1, 2])
-def test_the_meta_gradient_is_that_of_finite_differences(steps: int) -> None:
-    loss, params = meta_loss(steps)
+@pytest.mark.parametrize(("steps", "warm"), [(1, False), (2, False), (1, True)])
+def test_the_meta_gradient_is_that_of_finite_differences(steps: int, warm: bool) -> None:
+    loss, params = meta_loss(steps, warm=warm)
     gradient = np.asarray(ravel_pytree(jax.jit(jax.grad(loss))(params))[0])
     assert gradient.dtype == np.float64
     expected = differences(loss, params)
