@@ -11,7 +11,7 @@ def main() -> int:
     """Evaluates as the command line says."""
     arguments = sys.argv[1:]
     if cli.asks_for_help(arguments):
-        print(cli.evaluate_usage())
+        print(cli.evaluate_usage(arguments))
         return 0
     config = cli.evaluate_config(arguments)
     # only now, since it imports orbax and matplotlib: wrong arguments are told at once

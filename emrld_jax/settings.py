@@ -41,7 +41,14 @@ def allowed_values(metadata: Any) -> str:
     if "choices" in metadata:
         return "one of " + ", ".join(metadata["choices"])
     words = {"at_least": "at least", "above": "above", "at_most": "at most", "below": "below"}
-    return " and ".join(f"{text} {metadata[k]:g}" for k, text in words.items() if k in metadata)
+    return " and ".join(
+        f"{text} {_number(metadata[k])}" for k, text in words.items() if k in metadata
+    )
+
+
+def _number(value: float) -> str:
+    """A bound in words: whole numbers with all their digits."""
+    return str(int(value)) if float(value).is_integer() else f"{value:g}"
 
 
 def check(section: Any, prefix: str = "") -> None:
@@ -78,7 +85,9 @@ def _is_allowed(value: Any, rule: Any) -> bool:
 class PolicySettings:
     """The Gaussian policy."""
 
-    hidden_sizes: list[int] = setting([100, 100], "units of each hidden layer", at_least=1)
+    hidden_sizes: list[int] = setting(
+        [100, 100], "units of each hidden layer", at_least=1, at_most=10_000
+    )
     activation: str = setting("tanh", "the hidden units' function", choices=tuple(ACTIVATIONS))
     std: float = setting(0.5, "standard deviation of an action, in policy units", above=0)
     output_scale: float = setting(
@@ -91,8 +100,12 @@ class PolicySettings:
 class AdaptSettings:
     """The inner step: how the policy adapts to one task."""
 
-    num_steps: int = setting(1, "gradient steps; each collects its own episodes", at_least=1)
-    num_episodes: int = setting(20, "episodes that each gradient step collects", at_least=1)
+    num_steps: int = setting(
+        1, "gradient steps; each collects its own episodes", at_least=1, at_most=1000
+    )
+    num_episodes: int = setting(
+        20, "episodes that each gradient step collects", at_least=1, at_most=10_000
+    )
     learning_rate: float = setting(0.01, "length of a gradient step", at_least=0)
     warm_start_rate: float = setting(
         0.01, "length of EMRLD-WS's first step, on the demonstrations alone", at_least=0

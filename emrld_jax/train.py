@@ -11,7 +11,7 @@ def main() -> int:
     """Trains as the command line says."""
     arguments = sys.argv[1:]
     if cli.asks_for_help(arguments):
-        print(cli.train_usage())
+        print(cli.train_usage(arguments))
         return 0
     config = cli.train_config(arguments)
     # only now, since it imports orbax and matplotlib: wrong arguments are told at once

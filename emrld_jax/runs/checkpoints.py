@@ -13,6 +13,13 @@ import numpy as np
 import orbax.checkpoint as ocp
 
 from emrld_jax.meta.learner import MetaState
+from emrld_jax.runs.config import ConfigError
+
+# what orbax raises for files that are missing, cut off or of another structure
+_BROKEN: tuple[type[Exception], ...] = (
+    *(FileNotFoundError, NotADirectoryError, IsADirectoryError, EOFError),
+    *(KeyError, TypeError, ValueError),  # the last also of tensorstore and of JSON
+)
 
 logging.getLogger("absl").setLevel(logging.ERROR)  # orbax tells of each file it reads
 
@@ -46,19 +53,28 @@ class Checkpoints:
 
         Args:
             like: a state of the same structure.
-            note: told of checkpoints that cannot be read; unless read-only, they are put aside.
+            note: told of checkpoints that cannot be read; unless read-only, they are put aside once
+                an older one has been read.
+
+        Raises:
+            ConfigError: there are checkpoints, but none can be read; they stay as they are.
         """
+        broken: dict[int, str] = {}  # reasons
         for step in sorted(self._manager.all_steps(), reverse=True):
             try:
                 args = ocp.args.StandardRestore(_tree(like))
                 tree = jax.tree.map(_uncommitted, self._manager.restore(step, args=args))
-            except Exception as error:  # orbax raises many types for a broken file
-                reason = (str(error).splitlines() or [""])[0][:100]
-                note(f"checkpoint {step} cannot be read ({reason}); trying the one before")
-                if not self._read_only:
-                    self._put_aside(step)
+            except _BROKEN as error:
+                broken[step] = (str(error).splitlines() or [""])[0][:100]
                 continue
+            for newer, reason in broken.items():
+                note(f"checkpoint {newer} cannot be read ({reason}); taking the one before")
+                if not self._read_only:
+                    self._put_aside(newer)
             return Progressed(MetaState(tree["params"], tree["opt_state"]), *_rest(tree))
+        if broken:
+            reasons = "; ".join(f"{step}: {reason}" for step, reason in broken.items())
+            raise ConfigError(f"{self._folder}: none of the checkpoints can be read ({reasons})")
         return None
 
     def _put_aside(self, step: int) -> None:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import sys
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 from difflib import get_close_matches
 from pathlib import Path
 from typing import Any, NoReturn
@@ -20,18 +21,24 @@ from omegaconf.errors import OmegaConfBaseException
 
 from emrld_jax.demos import DemoError
 from emrld_jax.runs.config import (
+    PATHS,
     RESUMABLE,
     ConfigError,
     EvaluateConfig,
     TrainConfig,
     check_config,
     load_config,
+    updated,
 )
 from emrld_jax.runs.usage import Leaf, leaves, usage
 from emrld_jax.settings import allowed_values
 
+__all__ = ["evaluate_config", "parse", "run_command", "train_config", "updated"]
+
 CONF = Path(__file__).parents[1] / "conf"
-PATHS = ("demos", "out", "resume", "run", "runs")  # taken literally: no Hydra grammar in a path
+
+SIZES = ("adapt.num_episodes", "env.horizon", "policy.hidden_sizes")  # what memory grows with
+HELP = ("-h", "--help", "help")
 
 Values = dict[str, Any]
 
@@ -49,7 +56,7 @@ def train_config(arguments: Sequence[str]) -> TrainConfig:
         ConfigError: names what is wrong and what is allowed.
     """
     values = parse(arguments, TrainConfig(), groups())
-    config: Any = _resumed(values) if values.get("resume") else _composed(arguments)
+    config = _resumed(values) if values.get("resume") else _composed(arguments, values)
     check_config(config)
     return config
 
@@ -83,8 +90,7 @@ def parse(arguments: Sequence[str], schema: Any, options: dict[str, tuple[str, .
     known = leaves(schema)
     values: Values = {}
     for argument in arguments:
-        override = _parse_one(argument)
-        key, value = override.key_or_group, override.value()
+        key, value = _parse_one(argument)
         if key in options:
             _check_option(key, value, options[key])
         else:
@@ -98,9 +104,14 @@ def run_command(main: Callable[[], int]) -> NoReturn:
     _keep_compiled_programs()
     try:
         code = main()
-    except (ConfigError, DemoError) as error:
+    except (ConfigError, DemoError, OSError) as error:
         print(f"error: {error}", file=sys.stderr)
         code = 2
+    except (jax.errors.JaxRuntimeError, MemoryError) as error:
+        reason = (str(error).splitlines() or ["memory ran out"])[0]
+        advice = f"if memory ran out, smaller {', '.join(SIZES)} need less"
+        print(f"error: {reason} ({advice})", file=sys.stderr)
+        code = 1
     except KeyboardInterrupt:
         print("interrupted before anything was saved", file=sys.stderr)
         code = 130
@@ -116,29 +127,35 @@ def _keep_compiled_programs() -> None:
 
 def asks_for_help(arguments: Sequence[str]) -> bool:
     """Whether the arguments ask what the settings are."""
-    return any(argument in ("-h", "--help", "help") for argument in arguments)
+    return any(argument in HELP for argument in arguments)
 
 
-def train_usage() -> str:
-    """The help text of `emrld_jax.train`."""
+def train_usage(arguments: Sequence[str] = ()) -> str:
+    """The help text of `emrld_jax.train`, with the values that the other arguments give."""
     return usage(
         "emrld_jax.train",
         "Meta-train a policy with demonstrations; writes a run folder.",
         _examples("train"),
-        train_config([]),
+        train_config(_without_help(arguments)),
         groups(),
     )
 
 
-def evaluate_usage() -> str:
-    """The help text of `emrld_jax.evaluate`."""
+def evaluate_usage(arguments: Sequence[str] = ()) -> str:
+    """The help text of `emrld_jax.evaluate`, with the values that the other arguments give."""
+    others = _without_help(arguments)
+    values = parse(others, EvaluateConfig(), {})
     return usage(
         "emrld_jax.evaluate",
         "Evaluate a run's policy after 0, 1, .. adaptation steps; writes into the run folder.",
         _examples("evaluate"),
-        EvaluateConfig(),
+        evaluate_config(others) if values.get("run") else updated(EvaluateConfig(), values),
         {},
     )
+
+
+def _without_help(arguments: Sequence[str]) -> list[str]:
+    return [argument for argument in arguments if argument not in HELP]
 
 
 def _examples(command: str) -> tuple[str, ...]:
@@ -156,9 +173,18 @@ def _examples(command: str) -> tuple[str, ...]:
     }[command]
 
 
-def _parse_one(argument: str) -> Override:
+def _parse_one(argument: str) -> tuple[str, Any]:
+    """The name and the value of an argument."""
+    key, equals, text = argument.partition("=")
+    if key in PATHS and equals:
+        return key, None if text == "null" else text
+    override = _parse_override(argument)
+    return override.key_or_group, override.value()
+
+
+def _parse_override(argument: str) -> Override:
     try:
-        override = OverridesParser.create().parse_override(_quoted(argument))
+        override = OverridesParser.create().parse_override(argument)
     except HydraException as error:
         raise ConfigError(
             f"{argument!r} is not of the form setting=value (--help lists the settings)"
@@ -170,14 +196,6 @@ def _parse_one(argument: str) -> Override:
             f"{argument!r}: one value at a time (quote a text with a comma; a list is [1,2])"
         )
     return override
-
-
-def _quoted(argument: str) -> str:
-    """The argument, its value quoted if it is a path."""
-    key, equals, value = argument.partition("=")
-    if key not in PATHS or not equals or value[:1] in ("'", '"'):
-        return argument
-    return f"{key}='{value}'" if "'" not in value else f'{key}="{value}"'
 
 
 def _check_option(group: str, value: Any, offered: tuple[str, ...]) -> None:
@@ -200,6 +218,10 @@ def _check_setting(
     leaf = known[key]
     if "choices" in leaf.metadata:
         _check_option(key, value, leaf.metadata["choices"])
+    if key in PATHS and value == "":
+        raise ConfigError(f"{argument} is not allowed: a path must not be empty")
+    if key in PATHS and value is not None:
+        return  # any text
     try:
         OmegaConf.update(OmegaConf.structured(leaf.section), leaf.name, value)
     except OmegaConfBaseException as error:
@@ -216,15 +238,16 @@ def did_you_mean(wrong: str, known: Sequence[str]) -> str:
     return f"; did you mean {close[0]!r}?" if close else ""
 
 
-def _composed(arguments: Sequence[str]) -> Any:
+def _composed(arguments: Sequence[str], values: Values) -> TrainConfig:
     """The configuration of a new run: groups of defaults, then the arguments."""
     ConfigStore.instance().store(name="train_schema", node=TrainConfig)
     try:
         with initialize_config_dir(str(CONF), version_base="1.3"):
-            overrides = [_quoted(argument) for argument in arguments]
-            return OmegaConf.to_object(compose("train", overrides=overrides))
+            overrides = [text for text in arguments if text.partition("=")[0] not in PATHS]
+            config: Any = OmegaConf.to_object(compose("train", overrides=overrides))
     except (HydraException, OmegaConfBaseException) as error:
         raise ConfigError(str(error).splitlines()[0]) from error
+    return replace(config, **{key: value for key, value in values.items() if key in PATHS})
 
 
 def _resumed(values: Values) -> TrainConfig:
@@ -238,11 +261,3 @@ def _resumed(values: Values) -> TrainConfig:
                 f"was; allowed: {', '.join(RESUMABLE)}"
             )
     return updated(config, values)
-
-
-def updated(config: Any, values: Values) -> Any:
-    """A copy of a settings object with some values changed."""
-    node = OmegaConf.structured(config)
-    for key, value in values.items():
-        OmegaConf.update(node, key, value)
-    return OmegaConf.to_object(node)

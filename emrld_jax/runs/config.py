@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import asdict, dataclass, field, fields, is_dataclass
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass, field, fields, is_dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -11,6 +12,7 @@ from omegaconf import OmegaConf
 from omegaconf.errors import OmegaConfBaseException
 
 from emrld_jax import algorithms
+from emrld_jax.runs.files import write_text
 from emrld_jax.settings import (
     AdaptSettings,
     MetaSettings,
@@ -23,6 +25,7 @@ from envs_jax import Env, make, names
 from envs_jax.base import REWARDS
 
 W_RL_OPTIMAL, W_RL_SUBOPTIMAL = 0.2, 1.0  # the paper's (section C)
+PATHS = ("demos", "out", "resume", "run", "runs")  # taken literally: no grammar in a path
 RESUMABLE = ("meta.iterations", "checkpoint_every", "evaluation_episodes")
 
 
@@ -38,7 +41,7 @@ class EnvSettings:
     reward: str = setting(
         "sparse", "nothing far from the goal, or minus the distance to it", choices=REWARDS
     )
-    horizon: int = setting(100, "steps of an episode", at_least=1)
+    horizon: int = setting(100, "steps of an episode", at_least=1, at_most=100_000)
     reward_radius: float | None = setting(
         None, "m from the goal within which sparse reward is not 0; null: the paper's", above=0
     )
@@ -62,7 +65,10 @@ class TrainConfig:
     w_bc: float = setting(1.0, "weight of the demonstrations in the inner loss", at_least=0)
     checkpoint_every: int = setting(10, "meta-iterations between checkpoints", at_least=1)
     evaluation_episodes: int = setting(
-        50, "episodes a task, before and after adaptation, for the final table", at_least=1
+        50,
+        "episodes a task, before and after adaptation, for the final table",
+        at_least=1,
+        at_most=10_000,
     )
     runs: str = setting("runs", "folder that run folders are made in")
     resume: str | None = setting(
@@ -83,7 +89,10 @@ class EvaluateConfig:
         "test", "training tasks, or the held-out ones of the run's file", choices=("train", "test")
     )
     episodes: int = setting(
-        100, "episodes a task, after each number of adaptation steps", at_least=1
+        100,
+        "episodes a task, after each number of adaptation steps",
+        at_least=1,
+        at_most=10_000,
     )
     deterministic: bool = setting(
         False, "evaluate the mean action; episodes for adaptation are sampled all the same"
@@ -128,21 +137,62 @@ def default_w_rl(quality: str) -> float:
 
 def save_config(config: Any, path: Path) -> None:
     """Writes a configuration as YAML, every setting explicit."""
-    path.write_text(yaml.safe_dump(asdict(config), sort_keys=False))
+    write_text(path, yaml.safe_dump(asdict(config), sort_keys=False))
 
 
 def load_config(path: Path) -> TrainConfig:
     """Reads what `save_config` wrote.
 
     Raises:
-        ConfigError: no such file, or not a configuration.
+        ConfigError: no such file, or not a whole configuration.
     """
     if not path.is_file():
         raise ConfigError(f"{path.parent} is not a run folder: it has no {path.name}")
     try:
-        merged = OmegaConf.merge(OmegaConf.structured(TrainConfig), OmegaConf.load(path))
-        config = OmegaConf.to_object(merged)
-    except (OmegaConfBaseException, yaml.YAMLError, OSError, ValueError) as error:
+        values = _by_full_name(yaml.safe_load(path.read_text()))
+        _check_names(path, values)
+        config = updated(TrainConfig(), values)
+    except ConfigError:
+        raise
+    except (OmegaConfBaseException, yaml.YAMLError, ValueError) as error:
         raise ConfigError(f"{path}: {str(error).splitlines()[0]}") from error
     check_config(config)
-    return config  # type: ignore[return-value]  # to_object gives the structured type back
+    return config
+
+
+def updated(config: Any, values: Mapping[str, Any]) -> Any:
+    """A copy of a settings object with some values, by full name, changed; paths are literal.
+
+    Raises:
+        OmegaConfBaseException: a value is not of its setting's type.
+    """
+    own = [name for name in PATHS if hasattr(config, name)]
+    paths = {name: values.get(name, getattr(config, name)) for name in own}
+    node = OmegaConf.structured(replace(config, **dict.fromkeys(own, "")))
+    for key, value in values.items():
+        if key not in paths:
+            OmegaConf.update(node, key, value)
+    return replace(OmegaConf.to_object(node), **paths)  # type: ignore[type-var]
+
+
+def _by_full_name(tree: Any, prefix: str = "") -> dict[str, Any]:
+    """Leaves of nested mappings, such as meta.max_kl; anything else has none."""
+    flat: dict[str, Any] = {}
+    for key, value in tree.items() if isinstance(tree, dict) else ():
+        inside = _by_full_name(value, f"{prefix}{key}.")
+        flat.update(inside or {f"{prefix}{key}": value})
+    return flat
+
+
+def _check_names(path: Path, values: Mapping[str, Any]) -> None:
+    """Refuses a file that lacks a setting or has one too many: both would change the run."""
+    known = _by_full_name(asdict(TrainConfig()))
+    for problem, names_ in (
+        ("lacks", [name for name in known if name not in values]),
+        ("has unknown settings:", [name for name in values if name not in known]),
+    ):
+        if names_:
+            raise ConfigError(f"{path} {problem} {', '.join(names_)}")
+    for name in PATHS:
+        if name in known and not isinstance(values[name], str | type(known[name])):
+            raise ConfigError(f"{path}: {name}={values[name]} is not allowed: it must be a text")

@@ -13,13 +13,16 @@ from emrld_jax.demos import DemoSet
 from emrld_jax.runs.checkpoints import Checkpoints
 from emrld_jax.runs.config import ConfigError, EvaluateConfig, load_config, save_config
 from emrld_jax.runs.evaluation import evaluator, summarize
+from emrld_jax.runs.files import write_json
 from emrld_jax.runs.folder import RunFolder, new_folder
 from emrld_jax.runs.pictures import adaptation_curve, is_planar, trajectories
 from emrld_jax.runs.provenance import provenance
-from emrld_jax.runs.report import SPLITS, before_and_after, with_interval, write_whole
+from emrld_jax.runs.report import SPLITS, before_and_after, with_interval
 from emrld_jax.runs.setup import Setup, set_up
 from emrld_jax.runs.training import initial
 from emrld_jax.types import Params
+
+STREAM = 0x6576616C  # tells the keys of evaluations from those of training with the same seed
 
 
 def evaluate_run(config: EvaluateConfig, console: Console) -> int:
@@ -45,7 +48,7 @@ def evaluate_run(config: EvaluateConfig, console: Console) -> int:
         config.episodes,
         deterministic=config.deterministic,
     )
-    evaluation = evaluate(params, jax.random.key(config.seed), demos.tasks, demos.demos)
+    evaluation = evaluate(params, evaluation_key(config.seed), demos.tasks, demos.demos)
     results = {
         **summarize(evaluation, config.seed),
         "iteration": iteration,
@@ -59,18 +62,25 @@ def evaluate_run(config: EvaluateConfig, console: Console) -> int:
         panels = before_and_after(SPLITS[config.tasks], demos, evaluation)
         trajectories(setup.env, panels, title, target / "trajectories")
     save_config(config, target / "config.yaml")
-    write_whole(target / "evaluation.json", results)
+    write_json(target / "evaluation.json", results)
     console.print(_table(results["stages"], f"{title}, after {iteration} meta-iterations"))
     console.print(f"{target}: figures and pictures", soft_wrap=True, highlight=False)
     return 0
 
 
+def evaluation_key(seed: int) -> jax.Array:
+    """The key of an evaluation; training folds only small numbers into its seed's key."""
+    return jax.random.fold_in(jax.random.key(seed), STREAM)
+
+
 def _newest(setup: Setup, folder: RunFolder, console: Console) -> tuple[Params, int]:
     """The parameters of the run's newest checkpoint and the iterations they have had."""
-    if not folder.checkpoints.is_dir():
+    if not folder.checkpoints.is_dir():  # orbax would make it
         raise ConfigError(f"{folder.path} has no checkpoint yet")
     with Checkpoints(folder.checkpoints, read_only=True) as checkpoints:
-        restored = checkpoints.restore(initial(setup), console.print)
+        restored = checkpoints.restore(
+            initial(setup), lambda text: console.print(text, soft_wrap=True, markup=False)
+        )
     if restored is None:
         raise ConfigError(f"{folder.path} has no checkpoint yet")
     return restored.state.params, restored.iteration

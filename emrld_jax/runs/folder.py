@@ -39,9 +39,13 @@ class RunFolder:
         """Keeps other processes from training in this folder; a killed one releases it too.
 
         Raises:
-            ConfigError: another process trains in it.
+            ConfigError: another process trains in it, or it cannot be written into.
         """
-        with (self.path / ".lock").open("w") as file:
+        try:
+            lock = (self.path / ".lock").open("w")
+        except OSError as error:
+            raise ConfigError(f"{self.path} cannot be trained in: {error}") from error
+        with lock as file:
             try:
                 fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
             except BlockingIOError as error:
@@ -57,7 +61,13 @@ def new_run_folder(config: TrainConfig) -> tuple[RunFolder, str]:
     demos = Path(config.demos).stem
     parent = Path(config.runs) / config.env.name / f"{config.algo}-{demos}"
     wanted = RunFolder(parent / f"seed{config.seed}")
-    path = new_folder(wanted.path)
+    try:
+        path = new_folder(wanted.path)
+    except OSError as error:
+        raise ConfigError(
+            f"runs={config.runs}: no run folder can be made there ({error}); it must be a folder, "
+            "or a path where one can be made"
+        ) from error
     if path == wanted.path:
         return wanted, ""
     note = f"{wanted.path} exists"

@@ -8,6 +8,9 @@ from typing import Any, Self
 
 from tensorboardX import SummaryWriter
 
+from emrld_jax.runs.config import ConfigError
+from emrld_jax.runs.files import write_text
+
 Record = dict[str, Any]  # "iteration" and "<phase>/<name>"
 
 
@@ -35,18 +38,39 @@ class MetricsLog:
 
 
 def read_metrics(path: Path) -> list[Record]:
-    """All records of a metrics.jsonl, without a last line that was cut off."""
-    if not path.is_file():
-        return []
-    return [json.loads(line) for line in _whole_lines(path)]
+    """All records of a metrics.jsonl, without a last line that was cut off.
+
+    Raises:
+        ConfigError: a whole line is not a record; the message names it.
+    """
+    return [_record(path, i, line) for i, line in enumerate(_whole_lines(path), start=1)]
+
+
+def last_stage(record: Record) -> int:
+    """Number of the last stage of adaptation that a record tells of."""
+    return max(int(name.rsplit("_", 1)[1]) for name in record if name.startswith("adapt/return_"))
 
 
 def _whole_lines(path: Path) -> list[str]:
-    return [line for line in path.read_text().splitlines(keepends=True) if line.endswith("\n")]
+    if not path.is_file():
+        return []
+    text = path.read_text(errors="replace")
+    return [line for line in text.splitlines(keepends=True) if line.endswith("\n")]
+
+
+def _record(path: Path, number: int, line: str) -> Record:
+    try:
+        record = json.loads(line)
+    except ValueError as error:
+        raise ConfigError(f"{path}, line {number} is not JSON: {error}") from error
+    if not isinstance(record, dict) or not isinstance(record.get("iteration"), int):
+        raise ConfigError(f"{path}, line {number} is not a record with a whole number 'iteration'")
+    return record
 
 
 def _keep_before(path: Path, start: int) -> None:
     """Drops what was written after the checkpoint that a resumed run starts from."""
     if path.is_file():
-        kept = [line for line in _whole_lines(path) if json.loads(line)["iteration"] < start]
-        path.write_text("".join(kept))
+        lines = enumerate(_whole_lines(path), start=1)
+        kept = [line for i, line in lines if _record(path, i, line)["iteration"] < start]
+        write_text(path, "".join(kept))

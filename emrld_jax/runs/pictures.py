@@ -14,8 +14,7 @@ from matplotlib.figure import Figure
 from matplotlib.patches import Circle
 
 from emrld_jax.demos import DemoSet
-from emrld_jax.runs.metrics import Record
-from emrld_jax.runs.progress import last_stage
+from emrld_jax.runs.metrics import Record, last_stage
 from envs_jax import Env
 
 BEFORE, AFTER = "#8c8c8c", "#1f5fa8"

@@ -8,7 +8,7 @@ from typing import Self
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
-from emrld_jax.runs.metrics import Record
+from emrld_jax.runs.metrics import Record, last_stage
 
 
 class ProgressView:
@@ -50,11 +50,6 @@ class ProgressView:
 
     def __exit__(self, *_: object) -> None:
         self._bar.stop()
-
-
-def last_stage(record: Record) -> int:
-    """Number of the last stage of adaptation that a record tells of."""
-    return max(int(name.rsplit("_", 1)[1]) for name in record if name.startswith("adapt/return_"))
 
 
 def figures(record: Record) -> str:

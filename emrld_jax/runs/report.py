@@ -2,9 +2,6 @@
 
 from __future__ import annotations
 
-import json
-import os
-from pathlib import Path
 from typing import Any
 
 import jax
@@ -14,6 +11,7 @@ from rich.table import Table
 
 from emrld_jax.demos import DemoSet
 from emrld_jax.runs.evaluation import Evaluation, evaluator, summarize
+from emrld_jax.runs.files import write_json
 from emrld_jax.runs.folder import RunFolder
 from emrld_jax.runs.metrics import read_metrics
 from emrld_jax.runs.pictures import Panel, is_planar, learning_curve, trajectories
@@ -46,7 +44,7 @@ def report(
     learning_curve(read_metrics(folder.metrics), title, folder.path / "learning_curve")
     if is_planar(setup.env):
         trajectories(setup.env, panels, title, folder.path / "trajectories")
-    write_whole(folder.results, results)
+    write_json(folder.results, results)
     console.print(_table(results))
     console.print(f"{folder.path}: results, pictures, checkpoints", soft_wrap=True, highlight=False)
 
@@ -59,13 +57,6 @@ def before_and_after(words: str, demos: DemoSet, evaluation: Evaluation) -> list
         Panel(f"{words} tasks, {when}", demos, evaluation.obs[:, k], evaluation.mask[:, k])
         for when, k in stages.items()
     ]
-
-
-def write_whole(path: Path, value: Any) -> None:
-    """Writes JSON so that the file exists as a whole or not at all."""
-    partial = path.with_name(f"{path.name}.partial")
-    partial.write_text(json.dumps(value, indent=2) + "\n")
-    os.replace(partial, path)
 
 
 def with_interval(entry: dict[str, Any], name: str, form: str) -> str:

@@ -15,8 +15,9 @@ from rich.console import Console
 
 from emrld_jax.runs.checkpoints import Checkpoints, Progressed
 from emrld_jax.runs.config import ConfigError, TrainConfig, save_config
+from emrld_jax.runs.files import write_json
 from emrld_jax.runs.folder import RunFolder, new_run_folder
-from emrld_jax.runs.metrics import MetricsLog, Record
+from emrld_jax.runs.metrics import MetricsLog, Record, read_metrics
 from emrld_jax.runs.progress import ProgressView, figures
 from emrld_jax.runs.provenance import provenance
 from emrld_jax.runs.report import report
@@ -104,13 +105,13 @@ def _folder(setup: Setup, console: Console) -> RunFolder:
 
 def _start(setup: Setup, folder: RunFolder, console: Console) -> Progressed:
     save_config(setup.config, folder.config)
-    _write_json(folder.provenance, {**provenance(setup.demos_path), "resumed": []})
+    write_json(folder.provenance, {**provenance(setup.demos_path), "resumed": []})
     _tell(console, f"run folder: {folder.path}")
     return initial(setup)
 
 
 def _continue(setup: Setup, folder: RunFolder, console: Console) -> Progressed:
-    first, now = _read_json(folder.provenance), provenance(setup.demos_path)
+    first, now = _read_provenance(folder.provenance), provenance(setup.demos_path)
     if first["demos"]["sha256"] != now["demos"]["sha256"]:
         raise ConfigError(
             f"{setup.demos_path} has changed since {folder.path} began: it cannot be continued"
@@ -118,10 +119,7 @@ def _continue(setup: Setup, folder: RunFolder, console: Console) -> Progressed:
     for what in ("code", "packages"):
         if first[what] != now[what]:
             _tell(console, f"note: not the same {what} as when the run began; results may differ")
-    progressed = initial(setup)
-    with Checkpoints(folder.checkpoints) as checkpoints:
-        restored = checkpoints.restore(progressed, lambda text: _tell(console, f"note: {text}"))
-    progressed = restored or progressed
+    progressed = _restored(setup, folder, console)
     iterations = setup.config.meta.iterations
     if progressed.iteration > iterations:
         raise ConfigError(
@@ -131,9 +129,23 @@ def _continue(setup: Setup, folder: RunFolder, console: Console) -> Progressed:
     if not folder.finished or progressed.iteration < iterations:
         folder.results.unlink(missing_ok=True)
         save_config(replace(setup.config, resume=None), folder.config)
-        _write_json(folder.provenance, {**first, "resumed": [*first["resumed"], now]})
+        write_json(folder.provenance, {**first, "resumed": [*first["resumed"], now]})
         _tell(console, f"continuing {folder.path} after iteration {progressed.iteration}")
     return progressed
+
+
+def _restored(setup: Setup, folder: RunFolder, console: Console) -> Progressed:
+    """The newest checkpoint of a run, or its start if it was stopped before the first one."""
+    records = read_metrics(folder.metrics)  # first: a broken file is refused before any change
+    progressed = initial(setup)
+    with Checkpoints(folder.checkpoints) as checkpoints:
+        restored = checkpoints.restore(progressed, lambda text: _tell(console, f"note: {text}"))
+    if restored is None and records:
+        raise ConfigError(
+            f"{folder.checkpoints} has no checkpoint, though {folder.metrics.name} tells of "
+            f"{len(records)} iterations: it cannot be continued"
+        )
+    return restored or progressed
 
 
 def _loop(
@@ -146,6 +158,7 @@ def _loop(
         MetricsLog(folder.metrics, folder.tensorboard, start) as log,
         ProgressView(console, start, config.meta.iterations) as view,
     ):
+        checkpoints.save(progressed)  # so that iterations never are without a checkpoint
         try:
             while progressed.iteration < config.meta.iterations and stop.received is None:
                 began = time.perf_counter()
@@ -184,12 +197,20 @@ def _tell(console: Console, text: str) -> None:
     console.print(text, soft_wrap=True, highlight=False, markup=False)
 
 
-def _write_json(path: Path, value: Any) -> None:
-    path.write_text(json.dumps(value, indent=2) + "\n")
+def _read_provenance(path: Path) -> dict[str, Any]:
+    """The record of how a run began, with all that a resumed run compares.
 
-
-def _read_json(path: Path) -> Any:
+    Raises:
+        ConfigError: the file cannot be read or lacks something.
+    """
     try:
-        return json.loads(path.read_text())
+        record = json.loads(path.read_text())
     except (OSError, ValueError) as error:
         raise ConfigError(f"{path} cannot be read: {error}") from error
+    kinds = {"code": dict, "packages": dict, "demos": dict, "resumed": list}
+    whole = isinstance(record, dict) and all(
+        isinstance(record.get(name), kind) for name, kind in kinds.items()
+    )
+    if not whole or "sha256" not in record["demos"]:
+        raise ConfigError(f"{path} must have {', '.join(kinds)}, and demos a sha256")
+    return record

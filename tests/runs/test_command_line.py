@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
+import jax
 import pytest
 
 from emrld_jax.runs import cli
@@ -33,6 +34,12 @@ REFUSED = [
     ("seed", ["'seed'", "setting=value"]),
     ("demos=perfect", ["demos", "perfect", "optimal", "suboptimal"]),
     ("demos=/nowhere/lines.npz", ["/nowhere/lines.npz", "no such file"]),
+    ("resume=", ["resume=", "must not be empty"]),
+    ("demos=null", ["demos=null", "a text"]),
+    ("env.horizon=1000000000", ["env.horizon=1000000000", "at most 100000"]),
+    ("adapt.num_episodes=1000000", ["adapt.num_episodes=1000000", "at most 10000"]),
+    ("runs=/proc/nope", ["runs=/proc/nope", "must be a folder"]),
+    ("runs=/etc/passwd", ["runs=/etc/passwd", "must be a folder"]),
     ("resume=/nowhere", ["/nowhere", "not a run folder"]),
 ]
 
@@ -71,6 +78,44 @@ def test_train_help_tells_of_every_setting_and_group(command: Command) -> None:
             assert leaf.metadata["help"].split()[0] in done.stdout
     for words in ("env=NAME", "point2d", "two_wheeled_drift", "experiment=NAME", "paper"):
         assert words in done.stdout
+
+
+def test_help_shows_the_values_that_the_other_arguments_give(command: Command) -> None:
+    done = command("train", "env=two_wheeled", "seed=7", "--help")
+    assert done.returncode == 0
+    for line in ("  seed=7", "  policy.std=0.3", "  meta.max_kl=0.03"):
+        assert line in done.stdout.splitlines()
+
+
+@pytest.mark.parametrize(
+    ("error", "code", "said"),
+    [
+        (jax.errors.JaxRuntimeError("RESOURCE_EXHAUSTED: 9 bytes\nmore"), 1, "env.horizon"),
+        (MemoryError(), 1, "memory ran out"),
+        (PermissionError(13, "Permission denied", "/x"), 2, "/x"),
+    ],
+)
+def test_what_a_machine_refuses_is_one_message(
+    error: Exception,
+    code: int,
+    said: str,
+    capsys: pytest.CaptureFixture[str],
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    def fail() -> int:
+        raise error
+
+    monkeypatch.setenv("JAX_COMPILATION_CACHE_DIR", "/unused")  # so that none is configured
+    with pytest.raises(SystemExit) as ended:
+        cli.run_command(fail)
+    assert ended.value.code == code
+    lines = capsys.readouterr().err.splitlines()
+    assert len(lines) == 1
+    assert said in lines[0]
+
+
+def test_null_is_no_file_name() -> None:
+    assert cli.train_config(["resume=null"]).resume is None
 
 
 def test_evaluate_help_tells_of_every_setting(command: Command) -> None:
@@ -113,6 +158,8 @@ def test_arguments_win_over_the_preset() -> None:
     assert config.policy.activation == "silu"
 
 
-@pytest.mark.parametrize("path", ["a b.npz", "x=1,y=[2].npz", "it's.npz", "(1)/über.npz"])
+@pytest.mark.parametrize(
+    "path", ["a b.npz", "x=1,y=[2].npz", "it's.npz", "(1)/über.npz", "${x}", "'\""]
+)
 def test_a_path_is_taken_as_it_is(path: str) -> None:
     assert cli.train_config([f"demos={path}"]).demos == path

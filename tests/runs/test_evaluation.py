@@ -12,7 +12,9 @@ import pytest
 
 from emrld_jax import algorithms
 from emrld_jax.demos import load
+from emrld_jax.runs.evaluate_run import evaluation_key
 from emrld_jax.runs.evaluation import Evaluation, bootstrap_interval, evaluator, summarize
+from emrld_jax.runs.training import streams
 from emrld_jax.sampling.rollouts import collector
 from emrld_jax.settings import AdaptSettings, PolicySettings, Settings
 from envs_jax import make
@@ -58,6 +60,15 @@ def test_returns_at_every_stage_are_those_of_numpy(demos: Path) -> None:
         for stage, stage_params in enumerate((path[0], path[-2], path[-1])):
             expected = point2d_return(stage_params, np.asarray(task.goal), env.horizon)
             np.testing.assert_allclose(evaluation.returns[m, stage], expected, rtol=1e-4)
+
+
+def test_an_evaluation_shares_no_key_with_training() -> None:
+    key = jax.random.key(0)
+    init_key, loop_key, final_key = streams(jax.random.key_data(key))
+    used = [key, init_key, loop_key, final_key, *jax.random.split(loop_key, 200)]
+    ours = [evaluation_key(0), *jax.random.split(evaluation_key(0), 200)]
+    data = [tuple(np.asarray(jax.random.key_data(each)).tolist()) for each in used + ours]
+    assert len(set(data)) == len(data)
 
 
 def test_sampled_episodes_differ(demos: Path) -> None:

@@ -9,11 +9,19 @@ from pathlib import Path
 
 import pytest
 
-from emrld_jax.runs.config import ConfigError, EnvSettings, TrainConfig, default_w_rl
+from emrld_jax.runs.config import (
+    ConfigError,
+    EnvSettings,
+    TrainConfig,
+    check_config,
+    default_w_rl,
+    load_config,
+    save_config,
+)
 from emrld_jax.runs.folder import RunFolder, new_folder, new_run_folder
 from emrld_jax.runs.metrics import MetricsLog, read_metrics
 from emrld_jax.runs.provenance import code_version, sha256
-from emrld_jax.runs.signals import StopSignals
+from emrld_jax.runs.signals import TOLD, StopSignals
 
 
 def test_a_run_never_overwrites_another(tmp_path: Path) -> None:
@@ -60,6 +68,48 @@ def test_metrics_after_the_checkpoint_are_dropped(tmp_path: Path) -> None:
     assert [record["outer/kl"] for record in read_metrics(lines)] == [0.0, 0.1, 9.0]
 
 
+@pytest.mark.parametrize("line", ["{", "[]", "{}", '{"iteration": "1"}'])
+def test_a_malformed_line_of_metrics_is_named(tmp_path: Path, line: str) -> None:
+    lines = tmp_path / "metrics.jsonl"
+    lines.write_text(f'{{"iteration": 0}}\n{line}\n')
+    with pytest.raises(ConfigError, match=r"metrics\.jsonl, line 2"):
+        read_metrics(lines)
+
+
+def test_a_configuration_is_read_as_it_was_written(tmp_path: Path) -> None:
+    config = TrainConfig(demos='${nope} it\'s "x".npz', seed=3)
+    save_config(config, tmp_path / "config.yaml")
+    assert load_config(tmp_path / "config.yaml") == config
+    assert [file.name for file in tmp_path.iterdir()] == ["config.yaml"]
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "said"),
+    [
+        ("  max_kl: 0.01\n", "", "lacks meta.max_kl"),
+        ("seed: 0", "sed: 0", "lacks seed"),
+        ("seed: 0", "seed: 0\nsed: 0", "unknown settings: sed"),
+        ("seed: 0", "seed: x", "could not be converted to Integer"),
+        ("seed: 0", "seed: [", "config.yaml: "),
+        ("runs: runs", "runs: null", "runs=None is not allowed"),
+        ("horizon: 100", "horizon: 0", "env.horizon=0 is not allowed"),
+    ],
+)
+def test_a_changed_configuration_is_refused(tmp_path: Path, old: str, new: str, said: str) -> None:
+    path = tmp_path / "config.yaml"
+    save_config(TrainConfig(), path)
+    text = path.read_text()
+    assert old in text
+    path.write_text(text.replace(old, new))
+    with pytest.raises(ConfigError, match=said):
+        load_config(path)
+
+
+def test_bounds_are_told_with_all_their_digits() -> None:
+    with pytest.raises(ConfigError, match=r"at least 0 and at most 1000000000$"):
+        check_config(TrainConfig(seed=-1))
+
+
 def test_metrics_are_valid_json(tmp_path: Path) -> None:
     with (
         MetricsLog(tmp_path / "metrics.jsonl", tmp_path / "events", 0) as log,
@@ -69,7 +119,9 @@ def test_metrics_are_valid_json(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(("number", "code"), [(signal.SIGINT, 130), (signal.SIGTERM, 143)])
-def test_the_first_signal_is_noted_and_the_second_would_end(number: int, code: int) -> None:
+def test_the_first_signal_is_noted_and_the_second_would_end(
+    number: int, code: int, capfd: pytest.CaptureFixture[str]
+) -> None:
     before = signal.getsignal(number)
     with StopSignals() as stop:
         assert stop.exit_code == 0
@@ -78,6 +130,7 @@ def test_the_first_signal_is_noted_and_the_second_would_end(number: int, code: i
         assert stop.exit_code == code
         assert signal.getsignal(number) is signal.SIG_DFL
     assert signal.getsignal(number) is before
+    assert capfd.readouterr().err.splitlines() == [TOLD]
 
 
 @pytest.mark.parametrize(("quality", "w_rl"), [("optimal", 0.2), ("suboptimal", 1.0), ("my", 0.2)])

@@ -8,6 +8,7 @@ import signal
 import subprocess
 import sys
 import time
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -22,6 +23,8 @@ from emrld_jax.runs.metrics import read_metrics
 from tests.conftest import Command
 from tests.runs.conftest import TINY
 from tests.runs.straight import write_demos
+
+WRITING = "checkpoints/2.*"  # the name of a checkpoint while it is being written
 
 WholeRun = tuple[Path, str]
 
@@ -127,6 +130,7 @@ def test_sigterm_saves_and_the_run_goes_on_bit_for_bit(
     process.send_signal(signal.SIGTERM)
     output, errors = process.communicate(timeout=120)
     assert process.returncode == 143, errors
+    assert "finishing this iteration, then saving" in errors
     assert f"python -m emrld_jax.train resume={folder}" in output
     assert not (folder / "results.json").exists()
     assert len(read_metrics(folder / "metrics.jsonl")) < 3
@@ -140,15 +144,79 @@ def test_sigterm_saves_and_the_run_goes_on_bit_for_bit(
 def test_kill_in_the_middle_of_a_checkpoint(
     start: Any, command: Command, whole_run: WholeRun
 ) -> None:
-    process, folder = start()
-    wait_for(folder, "checkpoints/2.*", process)  # its name while it is being written
-    process.kill()
-    process.communicate(timeout=60)
-    assert process.returncode == -signal.SIGKILL
+    for _ in range(5):  # until a kill comes before the checkpoint is whole
+        process, folder = start()
+        wait_for(folder, WRITING, process)
+        process.kill()
+        process.communicate(timeout=60)
+        assert process.returncode == -signal.SIGKILL
+        if any(folder.glob(WRITING)):
+            break
+        shutil.rmtree(folder)
+    assert any(folder.glob(WRITING)), "no kill came in the middle of a checkpoint"
+    assert not (folder / "checkpoints" / "2").exists()
 
     done = command("train", f"resume={folder}")
     assert done.returncode == 0, done.stderr
     assert_same_run(folder, whole_run[0])
+
+
+def cut_in_half(checkpoint: Path) -> None:
+    """Breaks all files of a checkpoint."""
+    for file in checkpoint.rglob("*"):
+        if file.is_file():
+            file.write_bytes(file.read_bytes()[: file.stat().st_size // 2])
+
+
+def files_of(folder: Path) -> dict[str, bytes]:
+    """The contents of all files, apart from the lock."""
+    files = (file for file in folder.rglob("*") if file.is_file() and file.name != ".lock")
+    return {str(file.relative_to(folder)): file.read_bytes() for file in files}
+
+
+def damage_checkpoints(folder: Path) -> None:
+    for step in ("2", "3"):
+        cut_in_half(folder / "checkpoints" / step)
+
+
+def damage_metrics(folder: Path) -> None:
+    lines = (folder / "metrics.jsonl").read_text().splitlines()
+    (folder / "metrics.jsonl").write_text("\n".join([lines[0], "{", lines[2], ""]))
+
+
+DAMAGES: list[tuple[str, Callable[[Path], Any], str]] = [
+    ("checkpoints broken", damage_checkpoints, "none of the checkpoints can be read"),
+    ("checkpoints gone", lambda f: shutil.rmtree(f / "checkpoints"), "has no checkpoint, though"),
+    ("metrics", damage_metrics, "metrics.jsonl, line 2"),
+    ("provenance", lambda f: (f / "provenance.json").write_text("{}"), "provenance.json must have"),
+    (
+        "configuration",
+        lambda f: (f / "config.yaml").write_text(""),
+        "config.yaml lacks algo, demos",
+    ),
+]
+
+
+@pytest.mark.parametrize(
+    ("damage", "said"), [each[1:] for each in DAMAGES], ids=[each[0] for each in DAMAGES]
+)
+def test_a_damaged_run_is_refused_and_left_as_it_is(
+    command: Command,
+    whole_run: WholeRun,
+    tmp_path: Path,
+    damage: Callable[[Path], Any],
+    said: str,
+) -> None:
+    folder = tmp_path / "copy"
+    shutil.copytree(whole_run[0], folder)
+    (folder / "results.json").unlink()
+    damage(folder)
+    before = files_of(folder)
+    done = command("train", f"resume={folder}")
+    assert done.returncode == 2, done.stderr
+    assert said in done.stderr
+    assert "Traceback" not in done.stderr
+    assert files_of(folder) == before
 
 
 def test_a_broken_newest_checkpoint_falls_back_to_the_one_before(
@@ -157,9 +225,7 @@ def test_a_broken_newest_checkpoint_falls_back_to_the_one_before(
     folder = tmp_path / "copy"
     shutil.copytree(whole_run[0], folder)
     (folder / "results.json").unlink()
-    for file in (folder / "checkpoints" / "3").rglob("*"):
-        if file.is_file():
-            file.write_bytes(file.read_bytes()[: file.stat().st_size // 2])
+    cut_in_half(folder / "checkpoints" / "3")
 
     done = command("train", f"resume={folder}")
     assert done.returncode == 0, done.stderr
