@@ -94,10 +94,13 @@ def _view(env: Any, panels: Sequence[Panel]) -> tuple[np.ndarray, np.ndarray]:
 def _draw(axes: Axes, env: Any, panel: Panel) -> None:
     goals = np.asarray(jax.vmap(env.goal)(panel.demos.tasks))
     shades = colormaps["turbo"](np.linspace(0.05, 0.95, len(goals)))
+    shared = bool(np.allclose(goals, goals[0]))  # one zone for all, then in no task's color
+    zones = [(goals[0], BEFORE)] if shared else list(zip(goals, shades, strict=True))
+    for goal, color in zones:
+        axes.add_patch(Circle(goal, env.reward_radius, color=color, alpha=0.2, linewidth=0))
+        axes.plot(*goal, marker="*", color=color, markeredgecolor="black", markersize=6, zorder=3)
     demos = panel.demos.demos
-    for task, (goal, shade) in enumerate(zip(goals, shades, strict=True)):
-        axes.add_patch(Circle(goal, env.reward_radius, color=shade, alpha=0.2, linewidth=0))
-        axes.plot(*goal, marker="*", color=shade, markeredgecolor="black", markersize=6, zorder=3)
+    for task, shade in enumerate(shades):
         axes.plot(*_points(demos.obs[task], demos.mask[task]), "k--", linewidth=0.8, alpha=0.7)
         for obs, mask in zip(panel.obs[task], panel.mask[task], strict=True):
             axes.plot(*_points(obs, mask), color=shade, linewidth=1.0, alpha=0.8)
