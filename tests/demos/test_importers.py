@@ -239,8 +239,14 @@ def test_command(tmp_path, capsys) -> None:
     assert "3 demonstrations of two_wheeled, 9 to 11 steps" in capsys.readouterr().out
     read = demos.load(out, envs_jax.make("two_wheeled"))
     assert (read.quality, len(read.test.success)) == ("mine", 0)
+    before = out.read_bytes()
+    assert main([str(source), "--env", "two_wheeled", *options]) == 2
+    assert f"{out} exists" in capsys.readouterr().err
+    assert out.read_bytes() == before
+    options[-1] = str(tmp_path / "other.npz")
     assert main([str(source), "--env", "chess", *options]) == 2
     assert "chess" in capsys.readouterr().err
+    assert not (tmp_path / "other.npz").exists()
 
 
 @pytest.mark.parametrize(
