@@ -26,34 +26,50 @@ class Line(NamedTuple):
     kl: jax.Array  # []
 
 
+class Iterate(NamedTuple):
+    """Where the conjugate gradient stands."""
+
+    iteration: jax.Array  # [], int
+    x: jax.Array  # [P]
+    residual: jax.Array  # [P]
+    direction: jax.Array  # [P]
+    squared: jax.Array  # [], residual . residual
+
+
 def conjugate_gradient(
     product: Callable[[jax.Array], jax.Array], b: jax.Array, iterations: int
 ) -> tuple[jax.Array, jax.Array]:
     """x near the solution of A x = b for a symmetric positive definite A, and the residual b - A x.
 
-    Starts from 0. An iteration after convergence (or where rounding lost positive curvature)
-    changes nothing.
+    Starts from 0, and ends early on convergence or where rounding lost positive curvature. For
+    b = 0 there is nothing to do.
 
     Args:
         product: v -> A v, [P] -> [P].
         b: [P].
     """
 
-    def iterate(_: int, state: tuple[jax.Array, ...]) -> tuple[jax.Array, ...]:
-        x, residual, direction, squared = state
-        image = product(direction)
-        curvature = direction @ image
-        go = (squared > 1e-10 * (b @ b)) & (curvature > 0)
-        length = jnp.where(go, squared / jnp.where(go, curvature, 1.0), 0.0)
-        x, residual = x + length * direction, residual - length * image
-        new_squared = residual @ residual
-        ratio = jnp.where(go, new_squared / jnp.where(go, squared, 1.0), 0.0)
-        direction = jnp.where(go, residual + ratio * direction, direction)
-        return x, residual, direction, jnp.where(go, new_squared, squared)
+    def iterate(state: Iterate) -> Iterate:
+        image = product(state.direction)
+        curvature = state.direction @ image
+        positive = curvature > 0
+        length = jnp.where(positive, state.squared / jnp.where(positive, curvature, 1.0), 0.0)
+        residual = state.residual - length * image
+        squared = residual @ residual
+        return Iterate(
+            jnp.where(positive, state.iteration + 1, iterations),
+            state.x + length * state.direction,
+            residual,
+            residual + squared / state.squared * state.direction,
+            squared,
+        )
 
-    start = (jnp.zeros_like(b), b, b, b @ b)
-    x, residual, _, _ = jax.lax.fori_loop(0, iterations, iterate, start)
-    return x, residual
+    def unfinished(state: Iterate) -> jax.Array:
+        return (state.iteration < iterations) & (state.squared > 1e-10 * (b @ b))
+
+    start = Iterate(jnp.zeros((), jnp.int32), jnp.zeros_like(b), b, b, b @ b)
+    end = jax.lax.while_loop(unfinished, iterate, start)
+    return end.x, end.residual
 
 
 def line_search(
@@ -67,7 +83,7 @@ def line_search(
 ) -> Line:
     """The first of params + step * ratio^k, k < max_tries, that is accepted, else the last.
 
-    Accepted is one whose loss falls below `loss` with a KL under max_kl.
+    Accepted is one whose loss falls below `loss` with a KL under max_kl. A step of 0 is not tried.
 
     Args:
         evaluate: parameters [P] -> (loss [], KL []).
@@ -83,8 +99,9 @@ def line_search(
         return Line(line.tries + 1, accepted, candidate, new_loss, kl)
 
     def unfinished(line: Line) -> jax.Array:
-        return ~line.accepted & (line.tries < max_tries)
+        return ~line.accepted & (line.tries < max_tries) & moves
 
+    moves = jnp.any(step != 0)
     zero = jnp.zeros((), loss.dtype)
     start = Line(jnp.zeros((), jnp.int32), jnp.zeros((), bool), params, loss, zero)
     return jax.lax.while_loop(unfinished, try_next, start)

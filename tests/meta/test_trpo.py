@@ -208,6 +208,14 @@ def test_conjugate_gradient_of_zero_is_zero() -> None:
     np.testing.assert_array_equal(cg(positive_definite(0, 3), np.zeros(3), 5)[0], np.zeros(3))
 
 
+def test_without_a_gradient_nothing_is_tried_and_the_parameters_stay() -> None:
+    objective = quadratic()._replace(loss=lambda new, old: jnp.zeros(()))
+    params, _, metrics = trpo().update(objective, objective, as_params(START), ())
+    np.testing.assert_array_equal(as_vector(params), np.asarray(START, np.float32))
+    assert metrics["outer/line_search_tries"] == 0
+    assert metrics["outer/accepted"] == 0
+
+
 def test_conjugate_gradient_stops_where_curvature_is_not_positive() -> None:
     x, residual = cg(-np.eye(3), np.ones(3), 5)
     np.testing.assert_array_equal(x, np.zeros(3))
