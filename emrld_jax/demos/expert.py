@@ -9,17 +9,16 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from functools import partial
-from typing import NamedTuple, cast
+from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
-import optax
 
-from emrld_jax.meta.inner import masked_mean
+from emrld_jax.demos.value import ValueState, append_task, task_vector, value_network
 from emrld_jax.meta.outer import Metrics, Objective, OuterOptimizer, surrogate_objective
 from emrld_jax.meta.trpo import trpo
-from emrld_jax.policy import MLP, Policy, gaussian_policy
-from emrld_jax.sampling.advantages import discounted_sum, gae, normalize
+from emrld_jax.policy import Policy, gaussian_policy
+from emrld_jax.sampling.advantages import gae, normalize
 from emrld_jax.sampling.rollouts import episode, episode_returns, episode_successes
 from emrld_jax.types import Gaussian, Params, Rollout, Task, Trajectory
 from envs_jax import Env
@@ -32,8 +31,7 @@ class ExpertState(NamedTuple):
     """An expert in training."""
 
     policy: Params
-    value: Params
-    value_optimizer: optax.OptState
+    value: ValueState
 
 
 class Expert(NamedTuple):
@@ -45,27 +43,9 @@ class Expert(NamedTuple):
     update: Callable[[ExpertState, jax.Array, Task], tuple[ExpertState, Metrics]]
 
 
-def task_vector(task: Task) -> jax.Array:
-    """All numbers that tell a task from others, [K]."""
-    return jnp.concatenate([jnp.ravel(leaf) for leaf in jax.tree.leaves(task)])
-
-
-def append_task(obs: jax.Array, task: Task) -> jax.Array:
-    """Observations with the task's vector appended. [.., O] -> [.., O + K]."""
-    vector = task_vector(task)
-    return jnp.concatenate([obs, jnp.broadcast_to(vector, (*obs.shape[:-1], vector.size))], axis=-1)
-
-
 def conditioned(policy: Policy, task: Task) -> Policy:
     """The expert's policy for one task: a function of the environment's observation alone."""
     return Policy(policy.init, lambda params, obs: policy.apply(params, append_task(obs, task)))
-
-
-def value_inputs(obs: jax.Array, task: Task) -> jax.Array:
-    """What the value network sees of one task's episodes. [E, T, O] -> [E, T, O + K + 1]."""
-    horizon = obs.shape[-2]
-    time = jnp.broadcast_to((jnp.arange(horizon) / horizon)[None, :, None], (*obs.shape[:-1], 1))
-    return jnp.concatenate([append_task(obs, task), time], axis=-1)
 
 
 def expert(
@@ -90,49 +70,23 @@ def expert(
     policy = gaussian_policy(
         width, env.action_size, hidden_sizes=HIDDEN_SIZES, std=std, learn_std=True
     )
-    network = MLP((*HIDDEN_SIZES, 1), "tanh")
-    scale = 1.0 / (1.0 - discount)  # returns are of this size; the network's outputs then of size 1
-    adam = optax.adam(value_learning_rate)
+    value = value_network(
+        width + 1, HIDDEN_SIZES, discount, value_learning_rate, value_steps, every=EVERY
+    )
     optimizer = trpo(max_kl=max_kl, backtrack_ratio=0.7)
 
     def init(key: jax.Array) -> ExpertState:
         policy_key, value_key = jax.random.split(key)
-        value = network.init(value_key, jnp.zeros(width + 1))
-        return ExpertState(policy.init(policy_key), value, adam.init(value))
-
-    def values(params: Params, obs: jax.Array, task: Task) -> jax.Array:
-        outputs = cast(jax.Array, network.apply(params, value_inputs(obs, task)))
-        return scale * outputs[..., 0]
+        return ExpertState(policy.init(policy_key), value.init(value_key))
 
     def collect(state: ExpertState, key: jax.Array, task: Task) -> tuple[Trajectory, jax.Array]:
         """One task's episodes, [E, T, ..], and their advantages, [E, T]."""
         keys = jax.random.split(key, num_episodes)
         own = conditioned(policy, task)
         episodes = jax.vmap(lambda k: episode(env, own, state.policy, k, task))(keys)
-        value = values(state.value, episodes.obs, task) * episodes.mask
+        values = value.predict(state.value, episodes.obs, task) * episodes.mask
         reward = episodes.reward * episodes.mask
-        return episodes, jax.vmap(lambda r, v: gae(r, v, discount, gae_lambda, jnp.zeros(())))(
-            reward, value
-        )
-
-    def fit_value(state: ExpertState, batch: Trajectory, tasks: Task) -> ExpertState:
-        """Fits the value network to the discounted returns of the episodes, [M, E, T]."""
-        per_episode = jax.vmap(jax.vmap(lambda r: discounted_sum(r, discount)))
-        targets = per_episode(batch.reward * batch.mask)[..., ::EVERY] / scale
-        inputs = jax.vmap(value_inputs)(batch.obs, tasks)[..., ::EVERY, :]
-
-        def loss(params: Params) -> jax.Array:
-            outputs: jax.Array = network.apply(params, inputs)  # type: ignore[assignment]
-            return masked_mean((outputs[..., 0] - targets) ** 2, batch.mask[..., ::EVERY])
-
-        def step(carry: tuple[Params, optax.OptState], _: None) -> tuple[tuple, None]:
-            params, opt_state = carry
-            updates, opt_state = adam.update(jax.grad(loss)(params), opt_state)
-            return (optax.apply_updates(params, updates), opt_state), None
-
-        start = (state.value, state.value_optimizer)
-        (value, opt_state), _ = jax.lax.scan(step, start, length=value_steps)
-        return state._replace(value=value, value_optimizer=opt_state)
+        return episodes, jax.vmap(lambda r, v: gae(r, v, discount, gae_lambda))(reward, values)
 
     @jax.jit
     def update(state: ExpertState, key: jax.Array, tasks: Task) -> tuple[ExpertState, Metrics]:
@@ -145,7 +99,7 @@ def expert(
             "expert/success": jnp.mean(episode_successes(batch)),
             "expert/length": jnp.mean(jnp.sum(batch.mask, axis=-1)),
         }
-        return fit_value(state, batch, tasks)._replace(policy=new_policy), {**metrics, **outer}
+        return ExpertState(new_policy, value.fit(state.value, batch, tasks)), {**metrics, **outer}
 
     return Expert(policy, init, update)
 

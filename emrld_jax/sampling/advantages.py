@@ -51,16 +51,13 @@ def fit_baseline(features: jax.Array, targets: jax.Array, mask: jax.Array) -> ja
     return solve_triangular(r, q.T @ y)
 
 
-def gae(
-    reward: jax.Array, value: jax.Array, discount: float, gae_lambda: float, last_value: jax.Array
-) -> jax.Array:
+def gae(reward: jax.Array, value: jax.Array, discount: float, gae_lambda: float) -> jax.Array:
     """Generalized advantages of one episode (Schulman et al. 2016, equation 16). [T], [T] -> [T].
 
     A_t = sum_k (discount * gae_lambda)^k delta_{t+k}, delta_t = r_t + discount V_{t+1} - V_t, where
-    V beyond the last step is `last_value`, []. Steps after an early end must have reward and value
-    0.
+    V beyond the last step is 0. Steps after an early end must have reward and value 0.
     """
-    following = jnp.append(value[1:], last_value)
+    following = jnp.append(value[1:], jnp.zeros((), value.dtype))
     delta = reward + discount * following - value
     return discounted_sum(delta, discount * gae_lambda)
 
@@ -84,6 +81,5 @@ def advantages(trajectory: Trajectory, discount: float, gae_lambda: float) -> ja
     rows = features.reshape(-1, features.shape[-1])
     weights = fit_baseline(rows, returns.reshape(-1), trajectory.mask.reshape(-1))
     value = (features @ weights) * trajectory.mask
-    zero = jnp.zeros(())
-    advantage = jax.vmap(lambda r, v: gae(r, v, discount, gae_lambda, zero))(reward, value)
+    advantage = jax.vmap(lambda r, v: gae(r, v, discount, gae_lambda))(reward, value)
     return normalize(advantage, trajectory.mask)

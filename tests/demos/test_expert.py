@@ -11,15 +11,8 @@ import pytest
 
 import envs_jax
 from emrld_jax.demos import expert as module
-from emrld_jax.demos.expert import (
-    Expert,
-    ExpertState,
-    append_task,
-    conditioned,
-    expert,
-    task_vector,
-    value_inputs,
-)
+from emrld_jax.demos.expert import Expert, ExpertState, conditioned, expert
+from emrld_jax.demos.value import append_task, task_vector, value_inputs
 from emrld_jax.policy import MLP, Policy, gaussian_policy, mean_action
 from emrld_jax.sampling.rollouts import episode
 from envs_jax import Env
@@ -123,7 +116,7 @@ def test_the_value_network_learns_the_returns_and_the_same_keys_give_the_same() 
     network = MLP((16, 16, 1), "tanh")
     for goal, distance in zip(tasks.goal, (1.0, 3.0), strict=True):
         inputs = value_inputs(jnp.zeros((1, 8, 2)), GoalTask(goal))[0, 0]
-        output: Any = network.apply(state.value, inputs)
+        output: Any = network.apply(state.value.params, inputs)
         value = float(output[0]) / (1 - 0.99)
         expected = -distance * sum(0.99**t for t in range(8))
         assert abs(value - expected) < 0.4 * abs(expected)

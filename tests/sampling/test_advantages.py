@@ -76,22 +76,20 @@ def test_discount_1_and_0_are_the_plain_sum_and_the_terms() -> None:
 
 def test_gae_of_worked_numbers() -> None:
     reward, value = jnp.array([1.0, 2.0]), jnp.array([0.5, 1.0])
-    # delta_1 = 2 + 0.5 * 2 - 1 = 2; delta_0 = 1 + 0.5 * 1 - 0.5 = 1; A_0 = 1 + 0.25 * 2
-    result = gae(reward, value, 0.5, 0.5, jnp.array(2.0))
-    np.testing.assert_allclose(result, [1.5, 2.0])
+    # delta_1 = 2 - 1 = 1; delta_0 = 1 + 0.5 * 1 - 0.5 = 1; A_0 = 1 + 0.25 * 1
+    np.testing.assert_allclose(gae(reward, value, 0.5, 0.5), [1.25, 1.0])
 
 
 def test_gae_with_lambda_1_is_the_return_minus_the_value() -> None:
     rng = np.random.default_rng(1)
     reward, value = (jnp.asarray(rng.normal(size=9), jnp.float32) for _ in range(2))
-    last = jnp.float32(0.7)
-    returns = discounted_sum(jnp.append(reward, last), 0.9)[:-1]
-    np.testing.assert_allclose(gae(reward, value, 0.9, 1.0, last), returns - value, atol=1e-5)
+    returns = discounted_sum(reward, 0.9)
+    np.testing.assert_allclose(gae(reward, value, 0.9, 1.0), returns - value, atol=1e-5)
 
 
 def test_gae_with_lambda_0_is_the_one_step_error() -> None:
     reward, value = jnp.array([1.0, 0.0, 2.0]), jnp.array([3.0, 1.0, 4.0])
-    result = gae(reward, value, 0.5, 0.0, jnp.zeros(()))
+    result = gae(reward, value, 0.5, 0.0)
     np.testing.assert_allclose(result, [1 + 0.5 - 3, 0 + 2 - 1, 2 - 4])
 
 
