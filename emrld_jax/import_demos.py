@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-import argparse
 import shlex
 import sys
-from collections.abc import Sequence
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -13,28 +12,47 @@ import numpy as np
 import envs_jax
 from emrld_jax import demos
 from emrld_jax.demos.importers import import_file
+from emrld_jax.runs import cli
+from emrld_jax.runs.config import ConfigError, check_config
+from emrld_jax.runs.outputs import check_new_npz
+from emrld_jax.runs.usage import usage
+from emrld_jax.settings import setting
 
 
-def main(argv: Sequence[str] | None = None) -> int:
-    """Runs the command; 0 if the file was written, 2 if it was refused."""
-    parser = argparse.ArgumentParser(prog="python -m emrld_jax.import_demos", description=__doc__)
-    parser.add_argument("file", metavar="FILE", help="pickle or .npz in the paper's layout")
-    parser.add_argument("--env", required=True, help=", ".join(envs_jax.names()))
-    parser.add_argument("--quality", required=True, help="optimal, suboptimal, or your own label")
-    parser.add_argument("--out", required=True, type=Path, help="the demonstration file to write")
-    words = sys.argv[1:] if argv is None else list(argv)
-    arguments = parser.parse_args(words)
-    if arguments.out.exists():
-        print(f"error: {arguments.out} exists; choose another file", file=sys.stderr)
-        return 2
-    command = shlex.join(["python", "-m", "emrld_jax.import_demos", *words])
-    try:
-        file = import_file(arguments.file, arguments.env, arguments.quality, command)
-        demos.save(arguments.out, file, envs_jax.make(arguments.env))
-    except (demos.DemoError, OSError) as error:
-        print(f"error: {error}", file=sys.stderr)
-        return 2
-    print(f"{arguments.out}: {_summary(file)}")
+@dataclass
+class ImportDemosConfig:
+    """All settings of importing demonstrations."""
+
+    file: str | None = setting(None, "pickle or .npz in the paper's layout; required")
+    env: str = setting("point2d", "the environment", choices=envs_jax.names())
+    quality: str = setting("imported", "label to store: optimal, suboptimal, or your own")
+    out: str | None = setting(None, "file to write; null: demos/ENV_QUALITY.npz")
+
+
+def main() -> int:
+    """Imports demonstrations as the command line says."""
+    arguments = sys.argv[1:]
+    if cli.asks_for_help(arguments):
+        print(
+            usage(
+                "emrld_jax.import_demos",
+                "Turn the paper's released files, and files laid out like them, into this format.",
+                ("file=Good_PN.p env=point2d quality=optimal out=demos/paper.npz",),
+                ImportDemosConfig(),
+                {},
+            )
+        )
+        return 0
+    config = cli.updated(ImportDemosConfig(), cli.parse(arguments, ImportDemosConfig(), {}))
+    check_config(config)
+    if not config.file:
+        raise ConfigError("file=PATH is missing: the pickle or .npz file to import")
+    out = Path(config.out or f"demos/{config.env}_{config.quality}.npz")
+    check_new_npz(out)
+    command = shlex.join(["python", "-m", "emrld_jax.import_demos", *arguments])
+    file = import_file(config.file, config.env, config.quality, command)
+    demos.save(out, file, envs_jax.make(config.env))
+    print(f"{out}: {_summary(file)}")
     return 0
 
 
@@ -58,4 +76,4 @@ def _summary(file: demos.DemoFile) -> str:
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    cli.run_command(main)

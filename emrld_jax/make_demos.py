@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import sys
-import tempfile
 import time
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -14,7 +13,8 @@ import numpy as np
 from emrld_jax.demos import DemoSet
 from emrld_jax.demos.shipped import QUALITIES
 from emrld_jax.runs import cli
-from emrld_jax.runs.config import ConfigError, check_config
+from emrld_jax.runs.config import check_config
+from emrld_jax.runs.outputs import check_new_npz
 from emrld_jax.runs.usage import usage
 from emrld_jax.settings import setting
 from envs_jax import make, names
@@ -58,27 +58,9 @@ def main() -> int:
     config = cli.updated(MakeDemosConfig(), cli.parse(arguments, MakeDemosConfig(), {}))
     check_config(config)
     out = Path(config.out or f"demos/{config.env}_{config.quality}.npz")
-    if out.suffix != ".npz":
-        raise ConfigError(f"out={out} must end in .npz")
-    if out.exists():
-        raise ConfigError(f"{out} exists; choose another file with out=PATH")
-    check_writable(out)
+    check_new_npz(out)
     make_file(config, out)
     return 0
-
-
-def check_writable(out: Path) -> None:
-    """Makes the folder of a file and refuses one that nothing can be written into.
-
-    Raises:
-        ConfigError: names the file and what the system says.
-    """
-    try:
-        out.parent.mkdir(parents=True, exist_ok=True)
-        with tempfile.TemporaryFile(dir=out.parent):
-            pass
-    except OSError as error:
-        raise ConfigError(f"out={out} cannot be written: {error}") from error
 
 
 def make_file(config: MakeDemosConfig, out: Path) -> None:

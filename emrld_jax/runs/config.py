@@ -25,7 +25,7 @@ from envs_jax import Env, make, names
 from envs_jax.base import REWARDS
 
 W_RL_OPTIMAL, W_RL_SUBOPTIMAL = 0.2, 1.0  # the paper's (section C)
-PATHS = ("demos", "out", "resume", "run", "runs")  # taken literally: no grammar in a path
+PATHS = ("demos", "file", "out", "resume", "run", "runs")  # taken literally: no grammar in a path
 RESUMABLE = ("meta.iterations", "checkpoint_every", "evaluation_episodes")
 
 

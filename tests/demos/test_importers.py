@@ -7,6 +7,7 @@ import functools
 import os
 import pickle
 from pathlib import Path
+from typing import cast
 
 import numpy as np
 import pytest
@@ -17,6 +18,7 @@ from emrld_jax.demos import DemoError
 from emrld_jax.demos.importers import import_file
 from emrld_jax.demos.unpickle import read_pickle
 from emrld_jax.import_demos import main
+from emrld_jax.runs.cli import run_command
 
 RESIDUAL = 0.3  # rad a step
 
@@ -231,22 +233,42 @@ def test_other_layouts_are_refused(tmp_path, contents, words) -> None:
         import_file(dump(tmp_path / "a.p", contents), "point2d", "x")
 
 
-def test_command(tmp_path, capsys) -> None:
+def command(monkeypatch, *arguments: str) -> int:
+    """The exit code of `emrld_jax.import_demos`."""
+    monkeypatch.setattr("sys.argv", ["import_demos", *arguments])
+    with pytest.raises(SystemExit) as exit_:
+        run_command(main)
+    return cast(int, exit_.value.code)
+
+
+def test_command(tmp_path, monkeypatch, capsys) -> None:
     source = dump(tmp_path / "a.p", [aligned(e) for e in drives("two_wheeled")])
-    out = tmp_path / "out.npz"
-    options = ["--quality", "mine", "--out", str(out)]
-    assert main([str(source), "--env", "two_wheeled", *options]) == 0
+    out = tmp_path / "demos" / "out.npz"
+    words = [f"file={source}", "env=two_wheeled", "quality=mine", f"out={out}"]
+    assert command(monkeypatch, *words) == 0
     assert "3 demonstrations of two_wheeled, 9 to 11 steps" in capsys.readouterr().out
     read = demos.load(out, envs_jax.make("two_wheeled"))
     assert (read.quality, len(read.test.success)) == ("mine", 0)
     before = out.read_bytes()
-    assert main([str(source), "--env", "two_wheeled", *options]) == 2
+    assert command(monkeypatch, *words) == 2
     assert f"{out} exists" in capsys.readouterr().err
     assert out.read_bytes() == before
-    options[-1] = str(tmp_path / "other.npz")
-    assert main([str(source), "--env", "chess", *options]) == 2
-    assert "chess" in capsys.readouterr().err
-    assert not (tmp_path / "other.npz").exists()
+
+
+@pytest.mark.parametrize(
+    ("words", "told"),
+    [
+        (["file=a.p", "env=two_weeled"], "did you mean 'two_wheeled'"),
+        (["env=point2d"], "file=PATH is missing"),
+        (["file=none.p", "out=x.npz"], "none.p: there is no such file"),
+        (["file=a.p", "out=x.pkl"], "must end in .npz"),
+    ],
+)
+def test_what_the_command_refuses(tmp_path, monkeypatch, capsys, words, told) -> None:
+    monkeypatch.chdir(tmp_path)
+    assert command(monkeypatch, *words) == 2
+    assert told in capsys.readouterr().err
+    assert not list(tmp_path.glob("*.npz"))
 
 
 @pytest.mark.parametrize(
