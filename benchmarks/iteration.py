@@ -17,10 +17,10 @@ import numpy as np
 
 from emrld_jax import algorithms
 from emrld_jax.runs.cli import train_config
+from emrld_jax.runs.config import algorithm_settings
 from emrld_jax.runs.provenance import machine, software
 from emrld_jax.runs.setup import set_up
 from emrld_jax.sampling.rollouts import collector
-from emrld_jax.settings import Settings
 from envs_jax import names
 
 
@@ -37,14 +37,12 @@ def seconds(call: Callable[[], Any], repeats: int) -> np.ndarray:
 def measure(env_name: str, repeats: int) -> dict[str, np.ndarray]:
     """Seconds of a meta-iteration and its parts.
 
-    The cost of a Fisher-vector product is a ninth of what nine more conjugate-gradient iterations
-    cost.
+    A Fisher-vector product costs what one more conjugate-gradient iteration does.
     """
     setup = set_up(train_config([f"env={env_name}"]))
     config, env, demos = setup.config, setup.env, setup.demos.train
-    base = Settings(
-        float(config.w_rl or 0.0), config.w_bc, config.policy, config.adapt, config.meta
-    )
+    base = algorithm_settings(config)
+    count = base.meta.cg_iterations  # Fisher-vector products a meta-iteration
     key = jax.random.key(0)
 
     def iteration(products: int, fisher_every: int) -> np.ndarray:
@@ -59,18 +57,18 @@ def measure(env_name: str, repeats: int) -> dict[str, np.ndarray]:
     params = learner.init(key).params
     keys = jax.random.split(key, demos.demos.mask.shape[0])
     collect_all = jax.jit(jax.vmap(collect, in_axes=(None, 0, 0)))
-    whole, few = iteration(10, base.meta.fisher_every), iteration(1, base.meta.fisher_every)
-    product = (np.median(whole) - np.median(few)) / 9
+    whole, one = (iteration(products, base.meta.fisher_every) for products in (count, 1))
+    product = (np.median(whole) - np.median(one)) / (count - 1)
     collecting = 2 * seconds(lambda: collect_all(params, keys, demos.tasks), repeats)
-    rest = np.median(whole) - np.median(collecting) - 10 * product
+    rest = np.median(whole) - np.median(collecting) - count * product
     return {
         "one meta-iteration": whole,
         "collecting episodes, before and after adaptation": collecting,
-        f"10 Fisher-vector products on every {base.meta.fisher_every}th step": np.array(
-            [10 * product]
+        f"{count} Fisher-vector products on every {base.meta.fisher_every}th step": np.array(
+            [count * product]
         ),
         "gradient, adaptation, line search": np.array([rest]),
-        "one meta-iteration, Fisher-vector products on every step": iteration(10, 1),
+        "one meta-iteration, Fisher-vector products on every step": iteration(count, 1),
     }
 
 

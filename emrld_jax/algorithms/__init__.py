@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from difflib import get_close_matches
 
 from emrld_jax.algorithms.emrld import emrld
 from emrld_jax.algorithms.emrld_ws import emrld_ws
@@ -31,7 +30,5 @@ def make(name: str, env: Env, settings: Settings) -> MetaLearner:
         ValueError: an unknown name.
     """
     if name not in _ALGORITHMS:
-        close = get_close_matches(name, names(), n=1)
-        meant = f"; did you mean {close[0]!r}?" if close else ""
-        raise ValueError(f"algo={name!r} is unknown{meant} (there are: {', '.join(names())})")
+        raise ValueError(f"algorithm {name!r} is unknown (there are: {', '.join(names())})")
     return _ALGORITHMS[name](env, settings)
