@@ -103,14 +103,22 @@ def _draw(axes: Axes, env: Any, panel: Panel) -> None:
     for task, shade in enumerate(shades):
         axes.plot(*_points(demos.obs[task], demos.mask[task]), "k--", linewidth=0.8, alpha=0.7)
         for obs, mask in zip(panel.obs[task], panel.mask[task], strict=True):
-            axes.plot(*_points(obs, mask), color=shade, linewidth=1.0, alpha=0.8)
+            axes.plot(*_path(obs, mask), color=shade, linewidth=1.0, alpha=0.8)
     axes.set(title=panel.title, xlabel="x (m)", ylabel="y (m)", aspect="equal")
     axes.grid(alpha=0.2)
 
 
 def _points(obs: Any, mask: Any) -> np.ndarray:
-    """Where the steps that exist are: x and y, [2, N]."""
+    """Where a demonstration's steps are: x and y, [2, N]."""
     return np.asarray(obs)[np.asarray(mask) > 0, :2].T
+
+
+def _path(obs: Any, mask: Any) -> np.ndarray:
+    """Where an episode went and ended: x and y, [2, N + 1]; [2, T] if it lasted to the horizon.
+
+    A rollout goes on after an episode's end, so the next row is where its last action led.
+    """
+    return np.asarray(obs)[: int(np.sum(mask)) + 1, :2].T
 
 
 def _save(figure: Figure, path: Path) -> None:

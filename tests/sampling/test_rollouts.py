@@ -106,6 +106,13 @@ def test_a_straight_walk_to_the_goal_in_worked_numbers() -> None:
     np.testing.assert_array_equal(episode_successes(result), 1.0)
 
 
+def test_the_row_after_an_episodes_end_is_where_it_ended() -> None:
+    """Pictures of paths rely on it."""
+    walk = episode(POINT, straight(), (), jax.random.key(0), NEAR)
+    np.testing.assert_allclose(walk.obs[:4, 0], [0.0, 0.1, 0.2, 0.3], atol=1e-6)
+    np.testing.assert_array_equal(walk.mask[:4], [1, 1, 1, 0])
+
+
 def test_a_walk_past_no_goal_lasts_until_the_horizon_and_is_no_success() -> None:
     task = GoalTask(jnp.array([-1.0, 0.0]))
     result = episode(POINT, straight(), (), jax.random.key(0), task)
