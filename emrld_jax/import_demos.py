@@ -48,9 +48,9 @@ def main() -> int:
     if not config.file:
         raise ConfigError("file=PATH is missing: the pickle or .npz file to import")
     out = Path(config.out or f"demos/{config.env}_{config.quality}.npz")
-    check_new_npz(out)
     command = shlex.join(["python", "-m", "emrld_jax.import_demos", *arguments])
     file = import_file(config.file, config.env, config.quality, command)
+    check_new_npz(out)
     demos.save(out, file, envs_jax.make(config.env))
     print(f"{out}: {_summary(file)}")
     return 0

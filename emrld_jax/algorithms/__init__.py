@@ -11,16 +11,28 @@ from emrld_jax.meta.learner import MetaLearner
 from emrld_jax.settings import Settings
 from envs_jax import Env
 
-__all__ = ["make", "names"]
+__all__ = ["make", "names", "uses"]
 
 _ALGORITHMS: dict[str, Callable[[Env, Settings], MetaLearner]] = {
     function.__name__: function for function in (emrld, emrld_ws, maml)
+}
+
+# settings that an algorithm has no use for, by their full name
+_UNUSED = {
+    "emrld": ("adapt.warm_start_rate",),
+    "emrld_ws": (),
+    "maml": ("w_rl", "w_bc", "adapt.warm_start_rate"),
 }
 
 
 def names() -> tuple[str, ...]:
     """The names that `make` takes."""
     return tuple(_ALGORITHMS)
+
+
+def uses(name: str, setting: str) -> bool:
+    """Whether this algorithm's results depend on the setting of this full name."""
+    return setting not in _UNUSED[name]
 
 
 def make(name: str, env: Env, settings: Settings) -> MetaLearner:

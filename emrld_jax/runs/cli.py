@@ -19,6 +19,7 @@ from hydra.errors import HydraException
 from omegaconf import OmegaConf
 from omegaconf.errors import OmegaConfBaseException
 
+from emrld_jax import algorithms
 from emrld_jax.demos import DemoError
 from emrld_jax.runs.config import (
     PATHS,
@@ -58,6 +59,10 @@ def train_config(arguments: Sequence[str]) -> TrainConfig:
     values = parse(arguments, TrainConfig(), groups())
     config = _resumed(values) if values.get("resume") else _composed(arguments, values)
     check_config(config)
+    for key in values:
+        if not algorithms.uses(config.algo, key):
+            users = ", ".join(name for name in algorithms.names() if algorithms.uses(name, key))
+            raise ConfigError(f"{key} has no effect with algo={config.algo}; it is for {users}")
     return config
 
 

@@ -246,5 +246,5 @@ def test_a_warm_start_of_rate_zero_learns_as_emrld_does() -> None:
 
 
 def test_an_unknown_name_is_refused_with_a_hint() -> None:
-    with pytest.raises(ValueError, match="did you mean 'maml'"):
+    with pytest.raises(ValueError, match=r"'mamll' is unknown \(there are: .*maml"):
         algorithms.make("mamll", ENV, Settings())

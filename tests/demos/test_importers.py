@@ -260,15 +260,16 @@ def test_command(tmp_path, monkeypatch, capsys) -> None:
     [
         (["file=a.p", "env=two_weeled"], "did you mean 'two_wheeled'"),
         (["env=point2d"], "file=PATH is missing"),
-        (["file=none.p", "out=x.npz"], "none.p: there is no such file"),
-        (["file=a.p", "out=x.pkl"], "must end in .npz"),
+        (["file=none.p", "out=sub/x.npz"], "none.p: there is no such file"),
+        (["file=a.p", "env=two_wheeled", "out=x.pkl"], "must end in .npz"),
     ],
 )
 def test_what_the_command_refuses(tmp_path, monkeypatch, capsys, words, told) -> None:
+    source = dump(tmp_path / "a.p", [aligned(e) for e in drives("two_wheeled")])
     monkeypatch.chdir(tmp_path)
     assert command(monkeypatch, *words) == 2
     assert told in capsys.readouterr().err
-    assert not list(tmp_path.glob("*.npz"))
+    assert list(tmp_path.iterdir()) == [source]
 
 
 @pytest.mark.parametrize(

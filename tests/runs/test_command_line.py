@@ -19,6 +19,7 @@ REFUSED = [
     ("env=pointd2d", ["env=pointd2d", "did you mean 'point2d'", "two_wheeled_drift"]),
     ("env.name=two_wheeled", ["env.name", "env=two_wheeled"]),
     ("algo=emrl", ["algo=emrl", "did you mean 'emrld'", "maml"]),
+    ("adapt.warm_start_rate=0.1", ["has no effect with algo=emrld", "it is for emrld_ws"]),
     ("experiment=papr", ["experiment=papr", "did you mean 'paper'"]),
     ("policy.activation=tan", ["policy.activation", "tanh", "relu"]),
     ("env.reward=spars", ["env.reward", "sparse", "dense"]),
