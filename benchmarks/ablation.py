@@ -28,6 +28,8 @@ VARIANTS: dict[str, tuple[str, ...]] = {
     "meta.max_kl=0.01": ("meta.max_kl=0.01",),
     "meta.fisher_every=1": ("meta.fisher_every=1",),
     "meta.backtrack_ratio=0.5": ("meta.backtrack_ratio=0.5",),
+    "env.reward_radius=0.1": ("env.reward_radius=0.1",),  # m; the paper's zone has 0.2
+    "env.reward_radius=0.4": ("env.reward_radius=0.4",),
     "experiment=paper": ("experiment=paper",),
 }
 MARKS = (20, 40, 60, 80, 100)  # iterations

@@ -20,7 +20,7 @@ ROWS = (
     ("optimal", "emrld_ws"),
     ("suboptimal", "emrld"),
     ("suboptimal", "emrld_ws"),
-    ("optimal", "maml"),  # which takes no demonstrations; one seed, for comparison
+    ("optimal", "maml"),  # which takes no demonstrations
 )
 Row = dict[str, Any]
 
@@ -104,16 +104,13 @@ def main() -> None:
     parser.add_argument("--table", action="store_true", help="only tabulate what is finished")
     options = parser.parse_args()
     rows = [
-        [
-            Job(options.runs, env, demos, algo, seed)
-            for seed in (options.seeds[:1] if algo == "maml" else options.seeds)
-        ]
+        [Job(options.runs, env, demos, algo, seed) for seed in options.seeds]
         for env in options.envs
         for demos, algo in ROWS
     ]
     if not options.table:
         # seed by seed, so that an interrupted call leaves whole tables of fewer seeds
-        run_all([jobs[i] for i in range(len(options.seeds)) for jobs in rows if i < len(jobs)])
+        run_all([job for jobs in zip(*rows, strict=True) for job in jobs])
     done = [[job for job in jobs if job.finished] for jobs in rows]
     summaries = [summarize(jobs) for jobs in done if jobs]
     text = table(summaries)
