@@ -23,7 +23,7 @@ from emrld_jax.demos.archive import DemoError, read_npz
 from emrld_jax.demos.checks import TOLERANCE, task_fields
 from emrld_jax.demos.format import DemoFile, DemoSet, empty, provenance
 from emrld_jax.demos.replay import replay, state_at
-from emrld_jax.demos.unpickle import read_pickle
+from emrld_jax.demos.unpickle import MAX_ITEMS, count_items, read_pickle
 from emrld_jax.types import Demos
 from envs_jax import Env
 
@@ -145,6 +145,8 @@ def _find(where: str, entry: Mapping[str, Any], name: str) -> Any:
 
 
 def _numbers(where: str, value: Any) -> np.ndarray:
+    if count_items(value) > MAX_ITEMS:
+        raise DemoError(f"{where} holds more than {MAX_ITEMS} numbers, or lists nested too deeply")
     try:
         array = np.asarray(value, np.float64)
     except (TypeError, ValueError) as error:

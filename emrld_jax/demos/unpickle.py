@@ -15,6 +15,8 @@ import numpy as np
 
 from emrld_jax.demos.archive import MAX_BYTES, DemoError
 
+MAX_ITEMS = 10**6  # of nested lists; arrays are limited by the file's size
+
 
 class _DType:
     """Stands in for numpy.dtype: numbers and booleans only."""
@@ -123,3 +125,20 @@ def read_pickle(path: Path, max_bytes: int = MAX_BYTES) -> Any:
         raise DemoError(f"{path}: {error}") from error
     except Exception as error:  # a broken pickle fails in any way it likes
         raise DemoError(f"{path}: not a whole pickle ({type(error).__name__}: {error})") from error
+
+
+def count_items(value: Any, limit: int = MAX_ITEMS, depth: int = 4) -> int:
+    """How many items nested lists have, counted to just above the limit.
+
+    A small pickle can name one list many times over, which grows as a power when it is written out.
+    """
+    if not isinstance(value, list | tuple):
+        return 1
+    if depth == 0:
+        return limit + 1
+    total = 0
+    for item in value:
+        total += max(1, count_items(item, limit - total, depth - 1))
+        if total > limit:
+            break
+    return total

@@ -233,6 +233,18 @@ def test_other_layouts_are_refused(tmp_path, contents, words) -> None:
         import_file(dump(tmp_path / "a.p", contents), "point2d", "x")
 
 
+def test_a_small_file_cannot_ask_for_much_memory(tmp_path) -> None:
+    """Lists that name one list a thousand times each: a billion numbers in a few kilobytes."""
+    bomb = [[[0.0] * 1000] * 1000] * 1000
+    deep: list = []
+    deep.append(deep)
+    for state in (bomb, deep):
+        source = dump(tmp_path / "a.p", [{"state": state, "action": [[0, 0]], "goal": [0, 2]}])
+        assert source.stat().st_size < 30_000
+        with pytest.raises(DemoError, match="more than 1000000 numbers"):
+            import_file(source, "point2d", "x")
+
+
 def command(monkeypatch, *arguments: str) -> int:
     """The exit code of `emrld_jax.import_demos`."""
     monkeypatch.setattr("sys.argv", ["import_demos", *arguments])
