@@ -6,6 +6,7 @@ from pathlib import Path
 
 import jax
 import pytest
+import yaml
 
 from emrld_jax.runs import cli
 from emrld_jax.runs.config import EvaluateConfig, TrainConfig
@@ -84,7 +85,9 @@ def test_train_help_tells_of_every_setting_and_group(command: Command) -> None:
 def test_help_shows_the_values_that_the_other_arguments_give(command: Command) -> None:
     done = command("train", "env=two_wheeled", "seed=7", "--help")
     assert done.returncode == 0
-    for line in ("  seed=7", "  policy.std=0.3", "  meta.max_kl=0.03"):
+    tuned = yaml.safe_load((cli.CONF / "env" / "two_wheeled.yaml").read_text())
+    std, max_kl = tuned["policy"]["std"], tuned["meta"]["max_kl"]
+    for line in ("  seed=7", f"  policy.std={std}", f"  meta.max_kl={max_kl}"):
         assert line in done.stdout.splitlines()
 
 
