@@ -125,7 +125,7 @@ def check_quality(env: Env, quality: str, played: Played) -> None:
         f"{env.name}: {int((~good).sum())} of {len(good)} demonstrations are not {quality}: each "
         f"must {claim}, but that of task {row} ends after {int(steps)} steps "
         f"{float(distance):.3f} m away (reached: {bool(played.success[row] > 0)}); train the "
-        "expert longer or with another seed"
+        "expert longer (dense_iterations) or with another seed"
     )
 
 

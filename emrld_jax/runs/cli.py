@@ -96,6 +96,8 @@ def parse(arguments: Sequence[str], schema: Any, options: dict[str, tuple[str, .
     values: Values = {}
     for argument in arguments:
         key, value = _parse_one(argument)
+        if key in values:
+            raise ConfigError(f"{argument}: {key} is given twice")
         if key in options:
             _check_option(key, value, options[key])
         else:
@@ -152,7 +154,8 @@ def evaluate_usage(arguments: Sequence[str] = ()) -> str:
     values = parse(others, EvaluateConfig(), {})
     return usage(
         "emrld_jax.evaluate",
-        "Evaluate a run's policy after 0, 1, .. adaptation steps; writes into the run folder.",
+        "Evaluate a run's policy after 0, 1, .. adaptation steps; writes into the run folder.\n"
+        "What is not given of adapt is the run's own, which run=RUN_DIR --help shows.",
         _examples("evaluate"),
         evaluate_config(others) if values.get("run") else updated(EvaluateConfig(), values),
         {},

@@ -16,6 +16,7 @@ from emrld_jax.runs.evaluation import evaluator, summarize
 from emrld_jax.runs.files import write_json
 from emrld_jax.runs.folder import RunFolder, new_folder
 from emrld_jax.runs.pictures import adaptation_curve, is_planar, trajectories
+from emrld_jax.runs.progress import tell
 from emrld_jax.runs.provenance import provenance
 from emrld_jax.runs.report import SPLITS, before_and_after, with_interval
 from emrld_jax.runs.setup import Setup, set_up
@@ -41,6 +42,9 @@ def evaluate_run(config: EvaluateConfig, console: Console) -> int:
     if not demos.demos.mask.shape[0]:
         raise ConfigError(f"tasks={config.tasks}: {setup.demos_path} has no such demonstrations")
     params, iteration = _newest(setup, folder, console)
+    title = f"{trained.env.name}, {trained.algo}: {SPLITS[config.tasks]} tasks"
+    title += ", mean action" * config.deterministic
+    tell(console, f"{title}: evaluating {folder.path} after {iteration} meta-iterations")
     evaluate = evaluator(
         setup.env,
         setup.learner,
@@ -56,7 +60,6 @@ def evaluate_run(config: EvaluateConfig, console: Console) -> int:
         "provenance": provenance(setup.demos_path),
     }
     target = new_folder(folder.evaluations / _name(config))
-    title = f"{trained.env.name}, {trained.algo}: {SPLITS[config.tasks]} tasks"
     adaptation_curve(results["stages"], title, target / "adaptation")
     if is_planar(setup.env):
         panels = before_and_after(SPLITS[config.tasks], demos, evaluation)
@@ -64,7 +67,7 @@ def evaluate_run(config: EvaluateConfig, console: Console) -> int:
     save_config(config, target / "config.yaml")
     write_json(target / "evaluation.json", results)
     console.print(_table(results["stages"], f"{title}, after {iteration} meta-iterations"))
-    console.print(f"{target}: figures and pictures", soft_wrap=True, highlight=False)
+    tell(console, f"{target}: figures and pictures")
     return 0
 
 
@@ -78,9 +81,7 @@ def _newest(setup: Setup, folder: RunFolder, console: Console) -> tuple[Params, 
     if not folder.checkpoints.is_dir():  # orbax would make it
         raise ConfigError(f"{folder.path} has no checkpoint yet")
     with Checkpoints(folder.checkpoints, read_only=True) as checkpoints:
-        restored = checkpoints.restore(
-            initial(setup), lambda text: console.print(text, soft_wrap=True, markup=False)
-        )
+        restored = checkpoints.restore(initial(setup), lambda text: tell(console, text))
     if restored is None:
         raise ConfigError(f"{folder.path} has no checkpoint yet")
     return restored.state.params, restored.iteration

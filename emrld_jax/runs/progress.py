@@ -52,6 +52,11 @@ class ProgressView:
         self._bar.stop()
 
 
+def tell(console: Console, text: str) -> None:
+    """Shows a text as it is: paths are not wrapped, and brackets are no markup."""
+    console.print(text, soft_wrap=True, highlight=False, markup=False)
+
+
 def figures(record: Record) -> str:
     """What matters most of an iteration, in a few words."""
     last = last_stage(record)

@@ -18,11 +18,18 @@ from emrld_jax.runs.config import ConfigError, TrainConfig, save_config
 from emrld_jax.runs.files import write_json
 from emrld_jax.runs.folder import RunFolder, new_run_folder
 from emrld_jax.runs.metrics import MetricsLog, Record, read_metrics
-from emrld_jax.runs.progress import ProgressView, figures
+from emrld_jax.runs.progress import ProgressView, figures, tell
 from emrld_jax.runs.provenance import provenance
 from emrld_jax.runs.report import report
 from emrld_jax.runs.setup import Setup, set_up
 from emrld_jax.runs.signals import StopSignals
+
+PATIENCE = 5  # iterations without a meta-gradient before the user is told
+NO_REWARD = (
+    f"note: no reward in {PATIENCE} iterations, so there is no meta-gradient and nothing is "
+    "learned. Another seed may find the first one; so may other demonstrations, or a smaller "
+    "policy.std or larger adapt.learning_rate, which let demonstrations move the policy more."
+)
 
 
 class DivergenceError(RuntimeError):
@@ -46,18 +53,19 @@ def train(config: TrainConfig, console: Console) -> int:
         else:
             progressed = _continue(setup, folder, console)
         if folder.finished:
-            _tell(console, f"{folder.path} is finished: {progressed.iteration} meta-iterations.")
-            _tell(console, f"To go on: {folder.resume_command} meta.iterations=MORE")
+            tell(console, f"{folder.path} is finished: {progressed.iteration} meta-iterations.")
+            tell(console, f"To go on: {folder.resume_command} meta.iterations=MORE")
             return 0
         try:
             progressed = _loop(setup, folder, progressed, stop, console)
         except DivergenceError as error:
-            _tell(Console(stderr=True), f"error: {error}")
+            tell(Console(stderr=True), f"error: {error}")
             return 1
         if progressed.iteration < setup.config.meta.iterations:
-            _tell(console, f"Stopped after iteration {progressed.iteration}; all is saved.")
-            _tell(console, f"To go on: {folder.resume_command}")
+            tell(console, f"Stopped after iteration {progressed.iteration}; all is saved.")
+            tell(console, f"To go on: {folder.resume_command}")
             return stop.exit_code
+        tell(console, "evaluating and drawing")
         _, _, evaluation_key = streams(progressed.key)
         report(setup, folder, progressed.state.params, evaluation_key, console)
     return 0
@@ -99,14 +107,14 @@ def _folder(setup: Setup, console: Console) -> RunFolder:
         return RunFolder(Path(setup.config.resume))
     folder, note = new_run_folder(setup.config)
     if note:
-        _tell(console, note)
+        tell(console, note)
     return folder
 
 
 def _start(setup: Setup, folder: RunFolder, console: Console) -> Progressed:
     save_config(setup.config, folder.config)
     write_json(folder.provenance, {**provenance(setup.demos_path), "resumed": []})
-    _tell(console, f"run folder: {folder.path}")
+    tell(console, f"run folder: {folder.path}")
     return initial(setup)
 
 
@@ -118,7 +126,7 @@ def _continue(setup: Setup, folder: RunFolder, console: Console) -> Progressed:
         )
     for what in ("code", "packages"):
         if first[what] != now[what]:
-            _tell(console, f"note: not the same {what} as when the run began; results may differ")
+            tell(console, f"note: not the same {what} as when the run began; results may differ")
     progressed = _restored(setup, folder, console)
     iterations = setup.config.meta.iterations
     if progressed.iteration > iterations:
@@ -130,7 +138,7 @@ def _continue(setup: Setup, folder: RunFolder, console: Console) -> Progressed:
         folder.results.unlink(missing_ok=True)
         save_config(replace(setup.config, resume=None), folder.config)
         write_json(folder.provenance, {**first, "resumed": [*first["resumed"], now]})
-        _tell(console, f"continuing {folder.path} after iteration {progressed.iteration}")
+        tell(console, f"continuing {folder.path} after iteration {progressed.iteration}")
     return progressed
 
 
@@ -139,7 +147,7 @@ def _restored(setup: Setup, folder: RunFolder, console: Console) -> Progressed:
     records = read_metrics(folder.metrics)  # first: a broken file is refused before any change
     progressed = initial(setup)
     with Checkpoints(folder.checkpoints) as checkpoints:
-        restored = checkpoints.restore(progressed, lambda text: _tell(console, f"note: {text}"))
+        restored = checkpoints.restore(progressed, lambda text: tell(console, f"note: {text}"))
     if restored is None and records:
         raise ConfigError(
             f"{folder.checkpoints} has no checkpoint, though {folder.metrics.name} tells of "
@@ -159,6 +167,7 @@ def _loop(
         ProgressView(console, start, config.meta.iterations) as view,
     ):
         checkpoints.save(progressed)  # so that iterations never are without a checkpoint
+        unrewarded = 0  # iterations in a row
         try:
             while progressed.iteration < config.meta.iterations and stop.received is None:
                 began = time.perf_counter()
@@ -166,6 +175,9 @@ def _loop(
                 record = _record(progressed, metrics, time.perf_counter() - began)
                 log.write(record)
                 view.show(progressed.iteration, figures(record), record["time/iteration_s"])
+                unrewarded = 0 if record["outer/gradient_norm"] else unrewarded + 1
+                if unrewarded == PATIENCE:
+                    tell(console, NO_REWARD)
                 if progressed.iteration % config.checkpoint_every == 0:
                     checkpoints.save(progressed)
         finally:  # also where it diverged: `progressed` is then the last good state
@@ -191,10 +203,6 @@ def _check_finite(i: int, metrics: dict[str, float], params: Any) -> None:
             f"iteration {i + 1} made {', '.join(wrong)} infinite or NaN; the state before it is "
             "saved. A smaller adapt.learning_rate or meta.max_kl may help, in a new run."
         )
-
-
-def _tell(console: Console, text: str) -> None:
-    console.print(text, soft_wrap=True, highlight=False, markup=False)
 
 
 def _read_provenance(path: Path) -> dict[str, Any]:

@@ -33,6 +33,7 @@ REFUSED = [
     ("policy={std: 1}", ["policy is a section", "policy.std"]),
     ("seed=1,2", ["seed=1,2", "one value at a time"]),
     ("+seed=1", ["+seed=1", "setting=value"]),
+    ("runs=elsewhere", ["runs=elsewhere", "given twice"]),
     ("seed", ["'seed'", "setting=value"]),
     ("demos=perfect", ["demos", "perfect", "optimal", "suboptimal"]),
     ("demos=/nowhere/lines.npz", ["/nowhere/lines.npz", "no such file"]),

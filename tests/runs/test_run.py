@@ -277,3 +277,16 @@ def test_divergence_ends_with_a_message(command: Command, demos: Path, tmp_path:
     folder = tmp_path / "point2d" / "emrld-lines" / "seed0"
     assert (folder / "checkpoints" / "0").is_dir()
     assert read_metrics(folder / "metrics.jsonl") == []
+
+
+def test_a_run_that_sees_no_reward_says_so_once(
+    command: Command, demos: Path, tmp_path: Path
+) -> None:
+    """In five steps no episode can come near a goal 2 m away."""
+    arguments = (*TINY, "env.reward=sparse", "env.horizon=5", "meta.iterations=7")
+    known = {a.split("=")[0]: a for a in arguments}.values()  # the last of each
+    done = command("train", "env=point2d", f"demos={demos}", f"runs={tmp_path}", *known)
+    assert done.returncode == 0, done.stderr
+    assert done.stdout.count("no reward in 5 iterations") == 1
+    records = read_metrics(tmp_path / "point2d" / "emrld-lines" / "seed0" / "metrics.jsonl")
+    assert [record["outer/gradient_norm"] for record in records] == [0.0] * 7
