@@ -9,7 +9,7 @@ import pytest
 import yaml
 
 from emrld_jax.runs import cli
-from emrld_jax.runs.config import EvaluateConfig, TrainConfig
+from emrld_jax.runs.config import ConfigError, EvaluateConfig, TrainConfig
 from emrld_jax.runs.usage import leaves
 from tests.conftest import Command
 
@@ -33,7 +33,6 @@ REFUSED = [
     ("policy={std: 1}", ["policy is a section", "policy.std"]),
     ("seed=1,2", ["seed=1,2", "one value at a time"]),
     ("+seed=1", ["+seed=1", "setting=value"]),
-    ("runs=elsewhere", ["runs=elsewhere", "given twice"]),
     ("seed", ["'seed'", "setting=value"]),
     ("demos=perfect", ["demos", "perfect", "optimal", "suboptimal"]),
     ("demos=/nowhere/lines.npz", ["/nowhere/lines.npz", "no such file"]),
@@ -52,7 +51,9 @@ def test_a_bad_argument_ends_before_any_work(
     command: Command, demos: Path, tmp_path: Path, argument: str, said: list[str]
 ) -> None:
     runs = tmp_path / "runs"
-    done = command("train", f"demos={demos}", f"runs={runs}", argument)
+    key = argument.partition("=")[0]
+    others = {"demos": f"demos={demos}", "runs": f"runs={runs}"}
+    done = command("train", *(text for name, text in others.items() if name != key), argument)
     assert done.returncode == 2
     assert done.stderr.startswith("error: ")
     assert len(done.stderr.strip().splitlines()) == 1
@@ -117,6 +118,11 @@ def test_what_a_machine_refuses_is_one_message(
     lines = capsys.readouterr().err.splitlines()
     assert len(lines) == 1
     assert said in lines[0]
+
+
+def test_a_setting_given_twice_is_refused() -> None:
+    with pytest.raises(ConfigError, match="seed=2: seed is given twice"):
+        cli.train_config(["seed=1", "seed=2"])
 
 
 def test_null_is_no_file_name() -> None:
