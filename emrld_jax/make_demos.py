@@ -70,25 +70,28 @@ def make_file(config: MakeDemosConfig, out: Path) -> None:
 
     from emrld_jax.demos import check_tasks, provenance, save  # noqa: PLC0415
     from emrld_jax.demos.making import Training, make_demos  # noqa: PLC0415
-    from emrld_jax.runs.progress import ProgressView  # noqa: PLC0415
+    from emrld_jax.runs.progress import ProgressView, tell  # noqa: PLC0415
     from emrld_jax.runs.provenance import software  # noqa: PLC0415
 
     console, env = Console(), make(config.env)
     sparse = config.sparse_iterations if config.quality == "optimal" else 0
     training = Training(config.dense_iterations, sparse)
     before = {"dense": 0, "sparse": config.dense_iterations}  # iterations
-    began = time.perf_counter()
+    told_at = time.perf_counter()
     with ProgressView(console, 0, sum(training)) as view:
 
         def report(reward: str, iteration: int, metrics: dict[str, Any]) -> None:
-            done = before[reward] + iteration
+            nonlocal told_at
+            last, told_at = told_at, time.perf_counter()
             figures = (
                 f"{reward} reward, return {float(metrics['expert/return']):.1f}  "
                 f"success {float(metrics['expert/success']):.0%}"
             )
-            view.show(done, figures, (time.perf_counter() - began) / done)
+            view.show(before[reward] + iteration, figures, told_at - last)
 
         file = make_demos(config.env, config.quality, config.seed, training, report)
+    if config.quality == "suboptimal":
+        tell(console, "stopped: for every task there is a try that fits")
     figures = {"train": summary(file.train), "test": summary(file.test)}
     told = [argument for argument in sys.argv[1:] if not argument.startswith("out=")]
     origin = provenance(

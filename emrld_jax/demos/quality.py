@@ -123,9 +123,10 @@ def check_quality(env: Env, quality: str, played: Played) -> None:
         claim += f"{rule.max_steps} steps" + ("" if rule.may_reach else " and not reach it")
     raise DemoError(
         f"{env.name}: {int((~good).sum())} of {len(good)} demonstrations are not {quality}: each "
-        f"must {claim}, but that of task {row} ends after {int(steps)} steps "
-        f"{float(distance):.3f} m away (reached: {bool(played.success[row] > 0)}); train the "
-        "expert longer (dense_iterations) or with another seed"
+        f"must {claim}, but number {row} (from 0; training tasks, then held-out ones) ends after "
+        f"{int(steps)} steps {float(distance):.3f} m away (reached: "
+        f"{bool(played.success[row] > 0)}); train the expert longer "
+        "(dense_iterations) or with another seed"
     )
 
 

@@ -124,7 +124,10 @@ def read_pickle(path: Path, max_bytes: int = MAX_BYTES) -> Any:
     except DemoError as error:
         raise DemoError(f"{path}: {error}") from error
     except Exception as error:  # a broken pickle fails in any way it likes
-        raise DemoError(f"{path}: not a whole pickle ({type(error).__name__}: {error})") from error
+        raise DemoError(
+            f"{path}: not a whole pickle ({type(error).__name__}: {error}); allowed: a pickle, or "
+            "an .npz file, in the layout of the paper's released demonstrations"
+        ) from error
 
 
 def count_items(value: Any, limit: int = MAX_ITEMS, depth: int = 4) -> int:

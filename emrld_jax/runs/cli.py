@@ -195,7 +195,8 @@ def _parse_override(argument: str) -> Override:
         override = OverridesParser.create().parse_override(argument)
     except HydraException as error:
         raise ConfigError(
-            f"{argument!r} is not of the form setting=value (--help lists the settings)"
+            f"{argument!r} is not of the form setting=value, such as env=point2d "
+            "(--help lists the settings)"
         ) from error
     if override.type is not OverrideType.CHANGE or override.package is not None:
         raise ConfigError(f"{argument!r}: only the form setting=value is allowed")
@@ -239,7 +240,8 @@ def _check_setting(
 
 def did_you_mean(wrong: str, known: Sequence[str]) -> str:
     """A hint at the closest known name; empty if none is close."""
-    close = get_close_matches(wrong, known, n=1, cutoff=0.5)
+    lower = {name.lower(): name for name in known}
+    close = [lower[c] for c in get_close_matches(wrong.lower(), lower, n=1, cutoff=0.5)]
     if not close:  # the right name in the wrong section
         _, _, last = wrong.rpartition(".")
         close = [name for name in known if name.endswith(f".{last}")][:1]

@@ -9,7 +9,7 @@ from emrld_jax.runs.config import ConfigError
 
 
 def check_new_npz(out: Path) -> None:
-    """Makes the folder of a new .npz file, and refuses a path that it cannot be written to.
+    """Refuses a path that a new .npz file cannot be written to, and leaves nothing behind.
 
     Raises:
         ConfigError: names the file and what is wrong.
@@ -18,9 +18,9 @@ def check_new_npz(out: Path) -> None:
         raise ConfigError(f"out={out} must end in .npz")
     if out.exists():
         raise ConfigError(f"{out} exists; choose another file with out=PATH")
+    existing = next(folder for folder in out.absolute().parents if folder.exists())
     try:
-        out.parent.mkdir(parents=True, exist_ok=True)
-        with tempfile.TemporaryFile(dir=out.parent):
+        with tempfile.TemporaryFile(dir=existing):
             pass
     except OSError as error:
         raise ConfigError(f"out={out} cannot be written: {error}") from error

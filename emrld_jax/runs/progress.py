@@ -46,6 +46,8 @@ class ProgressView:
 
     def __enter__(self) -> Self:
         self._bar.start()
+        if not self._console.is_terminal:
+            tell(self._console, "compiling the first iteration")
         return self
 
     def __exit__(self, *_: object) -> None:
