@@ -92,9 +92,9 @@ def main() -> None:
         run_all([job for jobs in rows.values() for job in jobs])
     done = {name: [job for job in jobs if job.finished] for name, jobs in rows.items()}
     summaries = [summarize(name, jobs) for name, jobs in done.items() if jobs]
-    text = table(summaries)
-    print(text)
-    write_results("ablation", [job for jobs in done.values() for job in jobs], summaries, text)
+    write_results(
+        "ablation", [job for jobs in done.values() for job in jobs], summaries, table(summaries)
+    )
 
 
 if __name__ == "__main__":

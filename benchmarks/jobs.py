@@ -8,14 +8,12 @@ import subprocess
 import sys
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
-from datetime import UTC, datetime
 from pathlib import Path
 from queue import Queue
 from typing import Any, NamedTuple
 
+from benchmarks.records import write_record
 from emrld_jax.runs.metrics import Record, read_metrics
-
-RESULTS = Path(__file__).parent / "results"
 
 
 class Job(NamedTuple):
@@ -96,8 +94,4 @@ def write_results(
         "training_s": sum(r["time/iteration_s"] for job in jobs for r in job.metrics()),
         "rows": rows,
     }
-    RESULTS.mkdir(exist_ok=True)
-    out = RESULTS / f"{name}-{datetime.now(UTC):%Y-%m-%d}"
-    out.with_suffix(".json").write_text(json.dumps(record, indent=2) + "\n")
-    out.with_suffix(".md").write_text(text + "\n")
-    print(f"wrote {out}.json and .md")
+    write_record(name, record, text)

@@ -113,9 +113,7 @@ def main() -> None:
         run_all([job for jobs in zip(*rows, strict=True) for job in jobs])
     done = [[job for job in jobs if job.finished] for jobs in rows]
     summaries = [summarize(jobs) for jobs in done if jobs]
-    text = table(summaries)
-    print(text)
-    write_results("targets", [job for jobs in done for job in jobs], summaries, text)
+    write_results("targets", [job for jobs in done for job in jobs], summaries, table(summaries))
 
 
 if __name__ == "__main__":

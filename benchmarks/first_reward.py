@@ -1,0 +1,83 @@
+"""Whether the first parameters find a reward: without one there is no meta-gradient, ever.
+
+`python -m benchmarks.first_reward` adapts the first parameters of many seeds, for several scales of
+the policy's last layer, and counts the seeds that see no reward on any training task.
+"""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from typing import Any
+
+import jax
+import numpy as np
+
+from benchmarks.records import write_record
+from emrld_jax.demos.shipped import QUALITIES
+from emrld_jax.runs.cli import train_config
+from emrld_jax.runs.evaluation import evaluator
+from emrld_jax.runs.provenance import machine, software
+from emrld_jax.runs.setup import set_up
+from emrld_jax.runs.training import streams
+from envs_jax import names
+
+SCALES = (0.01, 0.3, 1.0, 1.5, 2.0, 3.0)
+ALGORITHMS = ("emrld", "emrld_ws")
+
+
+def rewarded_tasks(arguments: list[str], seeds: int) -> list[float]:
+    """For each seed, the share of training tasks with a reward after the first adaptation."""
+    setup = set_up(train_config(arguments))
+    adapt, part = setup.config.adapt, setup.demos.train
+    evaluate = evaluator(setup.env, setup.learner, adapt, adapt.num_episodes)
+    shares = []
+    for seed in range(seeds):
+        init_key, _, key = streams(jax.random.key_data(jax.random.key(seed)))
+        returns = evaluate(setup.learner.init(init_key).params, key, part.tasks, part.demos).returns
+        shares.append(float(np.mean(np.any(np.asarray(returns)[:, -1] > 0, axis=-1))))
+    return shares
+
+
+def table(rows: list[dict[str, Any]]) -> str:
+    """The rows as Markdown: a line a scale, a column for demonstrations and algorithm."""
+    columns = list(dict.fromkeys((row["demonstrations"], row["algorithm"]) for row in rows))
+    lines = [
+        "| `policy.output_scale` | " + " | ".join(f"{d}, {a}" for d, a in columns) + " |",
+        "|---|" + "---|" * len(columns),
+    ]
+    for scale in dict.fromkeys(row["output_scale"] for row in rows):
+        shares = [row["tasks_rewarded"] for row in rows if row["output_scale"] == scale]
+        cells = " | ".join(f"{sum(not x for x in s)} ({np.mean(s):.0%})" for s in shares)
+        lines.append(f"| {scale:g} | {cells} |")
+    return "\n".join(lines)
+
+
+def main() -> None:
+    """Measures and writes the table."""
+    parser = argparse.ArgumentParser(prog="python -m benchmarks.first_reward", description=__doc__)
+    parser.add_argument("--env", default="point2d", choices=names())
+    parser.add_argument("--seeds", type=int, default=20, help="how many, from 0")
+    options = parser.parse_args()
+    rows: list[dict[str, Any]] = [
+        {"output_scale": scale, "demonstrations": demos, "algorithm": algo}
+        for scale in SCALES
+        for demos in QUALITIES
+        for algo in ALGORITHMS
+    ]
+    for row in rows:
+        chosen = [f"demos={row['demonstrations']}", f"algo={row['algorithm']}"]
+        arguments = [f"env={options.env}", f"policy.output_scale={row['output_scale']}", *chosen]
+        row["tasks_rewarded"] = rewarded_tasks(arguments, options.seeds)
+        print(arguments, f"{np.mean(row['tasks_rewarded']):.0%} of tasks rewarded", flush=True)
+    record = {
+        "command": "python -m benchmarks.first_reward " + " ".join(sys.argv[1:]),
+        **software(),
+        "machine": machine(),
+        "rows": rows,
+    }
+    write_record(f"first_reward-{options.env}", record, table(rows))
+
+
+if __name__ == "__main__":
+    main()
