@@ -23,12 +23,15 @@ ACTIVATIONS: dict[str, Callable[[jax.Array], jax.Array]] = {
 class MLP(nn.Module):
     """Dense layers with Xavier-uniform weights and zero biases; the last one is linear.
 
-    [.., O] -> [.., sizes[-1]]. `output_scale` multiplies the last layer's initial weights.
+    [.., O] -> [.., sizes[-1]]. `output_scale` multiplies the last layer's initial weights. With
+    `start_at_zero`, the initial output is 0 for every x, but its gradient is not: the last hidden
+    units come in equal pairs, which the last layer subtracts from each other.
     """
 
     sizes: Sequence[int]
     activation: str
     output_scale: float = 1.0
+    start_at_zero: bool = False
 
     @nn.compact
     def __call__(self, x: jax.Array) -> jax.Array:
@@ -37,10 +40,30 @@ class MLP(nn.Module):
             # variance scaling, fan average, uniform is Xavier's rule; the scale is of the variance
             scale = self.output_scale**2 if i == last else 1.0
             weights = nn.initializers.variance_scaling(scale, "fan_avg", "uniform")
+            if self.start_at_zero and i == last - 1:
+                weights = mirrored(weights, axis=1, sign=1.0)
+            elif self.start_at_zero and i == last:
+                weights = mirrored(weights, axis=0, sign=-1.0)
             x = nn.Dense(size, kernel_init=weights, name=f"layer_{i}")(x)
             if i < last:
                 x = ACTIVATIONS[self.activation](x)
         return x
+
+
+def mirrored(initializer: nn.initializers.Initializer, axis: int, sign: float) -> Any:
+    """An initializer whose second half along the axis repeats the first, times a sign of 1 or -1.
+
+    What is in the middle of an odd number stays, or for a sign of -1 is 0.
+    """
+
+    def initialize(key: jax.Array, shape: Sequence[int], dtype: Any = jnp.float32) -> jax.Array:
+        kernel = initializer(key, shape, dtype)
+        half = shape[axis] // 2
+        first = jax.lax.slice_in_dim(kernel, 0, half, axis=axis)
+        middle = jax.lax.slice_in_dim(kernel, half, shape[axis] - half, axis=axis)
+        return jnp.concatenate([first, 0.5 * (1 + sign) * middle, sign * first], axis)
+
+    return initialize
 
 
 class Policy(NamedTuple):
@@ -58,6 +81,7 @@ def gaussian_policy(
     activation: str = "tanh",
     std: float = 0.5,
     output_scale: float = 1.0,
+    start_at_zero: bool = False,
     learn_std: bool = False,
 ) -> Policy:
     """A Gaussian policy whose mean is an MLP of the observation (supplement, section C).
@@ -65,10 +89,16 @@ def gaussian_policy(
     Args:
         std: standard deviation of every action dimension, in policy units.
         output_scale: factor on the last layer's initial weights.
+        start_at_zero: make the initial mean 0 at every observation; needs a hidden layer.
         learn_std: make the logarithm of the standard deviation a parameter, starting from `std`;
             otherwise it is constant, as in the paper.
+
+    Raises:
+        ValueError: start_at_zero without a hidden layer.
     """
-    network = MLP((*hidden_sizes, action_size), activation, output_scale)
+    if start_at_zero and not hidden_sizes:
+        raise ValueError("policy.start_at_zero=true needs a hidden layer in policy.hidden_sizes")
+    network = MLP((*hidden_sizes, action_size), activation, output_scale, start_at_zero)
     initial = jnp.full(action_size, jnp.log(std))
 
     def init(key: jax.Array) -> Params:

@@ -90,8 +90,9 @@ class PolicySettings:
     )
     activation: str = setting("tanh", "the hidden units' function", choices=tuple(ACTIVATIONS))
     std: float = setting(0.5, "standard deviation of an action, in policy units", above=0)
-    output_scale: float = setting(
-        1.0, "factor on the last layer's initial weights; small: all seeds start alike", above=0
+    output_scale: float = setting(1.0, "factor on the last layer's initial weights", above=0)
+    start_at_zero: bool = setting(
+        False, "make the initial mean action 0 everywhere, so that all seeds start alike"
     )
     learn_std: bool = setting(False, "learn the standard deviation, starting from policy.std")
 

@@ -18,7 +18,7 @@ from emrld_jax.policy import (
     mean_action,
     sample,
 )
-from emrld_jax.types import Gaussian
+from emrld_jax.types import Gaussian, Params
 
 IN_NUMPY: dict[str, Callable[[np.ndarray], np.ndarray]] = {
     "tanh": np.tanh,
@@ -122,6 +122,35 @@ def test_the_output_scale_is_a_factor_on_the_last_layers_weights_alone() -> None
     for i, factor in enumerate((1.0, 1.0, 0.01)):
         layer, scaled = (params["params"][f"layer_{i}"]["kernel"] for params in (plain, small))
         np.testing.assert_allclose(scaled, factor * layer, rtol=1e-5)
+
+
+@pytest.mark.parametrize("hidden_sizes", [(8, 6), (8, 5), (7,), (1,)])
+def test_a_policy_can_start_at_zero_and_leave_it(hidden_sizes: tuple[int, ...]) -> None:
+    """The mean is 0 at every observation, the weights are as large as ever, and a step moves it."""
+    plain, paired = (
+        gaussian_policy(3, 2, hidden_sizes=hidden_sizes, start_at_zero=zero)
+        for zero in (False, True)
+    )
+    params, before = paired.init(jax.random.key(0)), plain.init(jax.random.key(0))
+    obs = jax.random.normal(jax.random.key(1), (5, 3))
+    np.testing.assert_allclose(paired.apply(params, obs).mean, jnp.zeros((5, 2)), atol=1e-7)
+    last = len(hidden_sizes)
+    kernels = [np.asarray(params["params"][f"layer_{i}"]["kernel"]) for i in range(last + 1)]
+    half = hidden_sizes[-1] // 2
+    first = np.asarray(before["params"][f"layer_{last}"]["kernel"])[:half]
+    np.testing.assert_array_equal(kernels[-1][:half], first)
+    np.testing.assert_array_equal(kernels[-1][hidden_sizes[-1] - half :], -first)
+
+    def error(params: Params) -> jax.Array:
+        return jnp.sum((paired.apply(params, obs).mean - 1.0) ** 2)
+
+    moved = jax.tree.map(lambda p, g: p - 1e-3 * g, params, jax.grad(error)(params))
+    assert error(moved) < error(params)
+
+
+def test_starting_at_zero_needs_a_hidden_layer() -> None:
+    with pytest.raises(ValueError, match="hidden_sizes"):
+        gaussian_policy(3, 2, hidden_sizes=(), start_at_zero=True)
 
 
 @pytest.mark.parametrize("activation", ACTIVATIONS)

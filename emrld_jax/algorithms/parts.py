@@ -30,6 +30,7 @@ def trpo_learner(env: Env, settings: Settings, inner_steps: InnerSteps) -> MetaL
         activation=net.activation,
         std=net.std,
         output_scale=net.output_scale,
+        start_at_zero=net.start_at_zero,
         learn_std=net.learn_std,
     )
     return meta_learner(

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
 from typing import NamedTuple
@@ -34,17 +36,25 @@ def set_up(config: TrainConfig) -> Setup:
     """Loads the demonstrations and assembles the algorithm.
 
     Raises:
-        ConfigError, DemoError: the environment's parameters or the demonstrations are refused.
+        ConfigError, DemoError: settings or demonstrations are refused.
     """
-    try:
+    with _refusing():
         env = make_env(config.env)
-    except ValueError as error:
-        raise ConfigError(str(error)) from error
     path = resolve(config.demos, config.env.name)
     demos = load(path, env)
     if config.demos not in QUALITIES:
         config = replace(config, demos=str(path.absolute()))  # valid from any working directory
     if config.w_rl is None:
         config = replace(config, w_rl=default_w_rl(demos.quality))
-    learner = algorithms.make(config.algo, env, algorithm_settings(config))
+    with _refusing():
+        learner = algorithms.make(config.algo, env, algorithm_settings(config))
     return Setup(config, path, demos, env, learner)
+
+
+@contextmanager
+def _refusing() -> Iterator[None]:
+    """Settings that parts refuse are refused as configuration."""
+    try:
+        yield
+    except ValueError as error:
+        raise ConfigError(str(error)) from error
