@@ -1,7 +1,7 @@
 """Whether the first parameters find a reward: without one there is no meta-gradient, ever.
 
-`python -m benchmarks.first_reward` adapts the first parameters of many seeds, for several scales of
-the policy's last layer, and counts the seeds that see no reward on any training task.
+`python -m benchmarks.first_reward` adapts the first parameters of many seeds, for several starts of
+the policy, and counts the seeds that see no reward on any training task.
 """
 
 from __future__ import annotations
@@ -22,7 +22,11 @@ from emrld_jax.runs.setup import set_up
 from emrld_jax.runs.training import streams
 from envs_jax import names
 
-SCALES = (0.01, 0.3, 1.0, 1.5, 2.0, 3.0)
+STARTS = tuple(
+    f"policy.start_at_zero={zero} policy.output_scale={scale}"
+    for zero in ("false", "true")
+    for scale in (0.01, 0.3, 1, 2, 3)
+)
 ALGORITHMS = ("emrld", "emrld_ws")
 
 
@@ -40,16 +44,16 @@ def rewarded_tasks(arguments: list[str], seeds: int) -> list[float]:
 
 
 def table(rows: list[dict[str, Any]]) -> str:
-    """The rows as Markdown: a line a scale, a column for demonstrations and algorithm."""
+    """The rows as Markdown: a line a start, a column for demonstrations and algorithm."""
     columns = list(dict.fromkeys((row["demonstrations"], row["algorithm"]) for row in rows))
     lines = [
-        "| `policy.output_scale` | " + " | ".join(f"{d}, {a}" for d, a in columns) + " |",
+        "| start | " + " | ".join(f"{d}, {a}" for d, a in columns) + " |",
         "|---|" + "---|" * len(columns),
     ]
-    for scale in dict.fromkeys(row["output_scale"] for row in rows):
-        shares = [row["tasks_rewarded"] for row in rows if row["output_scale"] == scale]
+    for start in STARTS:
+        shares = [row["tasks_rewarded"] for row in rows if row["start"] == start]
         cells = " | ".join(f"{sum(not x for x in s)} ({np.mean(s):.0%})" for s in shares)
-        lines.append(f"| {scale:g} | {cells} |")
+        lines.append(f"| `{start}` | {cells} |")
     return "\n".join(lines)
 
 
@@ -60,14 +64,14 @@ def main() -> None:
     parser.add_argument("--seeds", type=int, default=20, help="how many, from 0")
     options = parser.parse_args()
     rows: list[dict[str, Any]] = [
-        {"output_scale": scale, "demonstrations": demos, "algorithm": algo}
-        for scale in SCALES
+        {"start": start, "demonstrations": demos, "algorithm": algo}
+        for start in STARTS
         for demos in QUALITIES
         for algo in ALGORITHMS
     ]
     for row in rows:
         chosen = [f"demos={row['demonstrations']}", f"algo={row['algorithm']}"]
-        arguments = [f"env={options.env}", f"policy.output_scale={row['output_scale']}", *chosen]
+        arguments = [f"env={options.env}", *row["start"].split(), *chosen]
         row["tasks_rewarded"] = rewarded_tasks(arguments, options.seeds)
         print(arguments, f"{np.mean(row['tasks_rewarded']):.0%} of tasks rewarded", flush=True)
     record = {
