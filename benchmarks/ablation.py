@@ -1,6 +1,6 @@
 """What the tuned defaults are worth: Point2D with one setting changed at a time.
 
-`python -m benchmarks.ablation` trains what is not finished yet and writes docs/tuning.md's table.
+`python -m benchmarks.ablation` trains what is not finished yet and writes the table.
 """
 
 from __future__ import annotations
@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 
 from benchmarks.jobs import Job, run_all, write_results
+from emrld_jax.demos.shipped import QUALITIES
 
 VARIANTS: dict[str, tuple[str, ...]] = {
     "defaults": (),
@@ -75,14 +76,16 @@ def main() -> None:
     parser.add_argument("--runs", type=Path, default=Path("runs/ablation"))
     parser.add_argument("--seeds", type=int, nargs="+", default=[0])
     parser.add_argument("--table", action="store_true", help="only tabulate what is finished")
+    parser.add_argument("--demos", default="optimal", choices=QUALITIES)
+    parser.add_argument("--algo", default="emrld", choices=("emrld", "emrld_ws"))
     options = parser.parse_args()
     rows = {
         name: [
             Job(
                 options.runs / name.replace(" ", ","),
                 "point2d",
-                "optimal",
-                "emrld",
+                options.demos,
+                options.algo,
                 seed,
                 (*settings, f"meta.iterations={max(MARKS)}"),
             )
@@ -94,9 +97,9 @@ def main() -> None:
         run_all([job for jobs in rows.values() for job in jobs])
     done = {name: [job for job in jobs if job.finished] for name, jobs in rows.items()}
     summaries = [summarize(name, jobs) for name, jobs in done.items() if jobs]
-    write_results(
-        "ablation", [job for jobs in done.values() for job in jobs], summaries, table(summaries)
-    )
+    finished = [job for jobs in done.values() for job in jobs]
+    name = f"ablation-{options.algo}-{options.demos}"
+    write_results(name, finished, summaries, table(summaries))
 
 
 if __name__ == "__main__":

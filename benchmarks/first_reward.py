@@ -1,7 +1,7 @@
-"""Whether the first parameters find a reward: without one there is no meta-gradient, ever.
+"""Whether the first parameters, once adapted, find a reward: without one nothing is learned.
 
-`python -m benchmarks.first_reward` adapts the first parameters of many seeds, for several starts of
-the policy, and counts the seeds that see no reward on any training task.
+`python -m benchmarks.first_reward` adapts the first parameters of many seeds once, for several
+starts of the policy, and counts the seeds that then see no reward on any training task.
 """
 
 from __future__ import annotations
@@ -31,22 +31,26 @@ ALGORITHMS = ("emrld", "emrld_ws")
 
 
 def rewarded_tasks(arguments: list[str], seeds: int) -> list[float]:
-    """For each seed, the share of training tasks with a reward after the first adaptation."""
+    """For each seed, the share of training tasks rewarded in the first iteration's episodes."""
     setup = set_up(train_config(arguments))
     adapt, part = setup.config.adapt, setup.demos.train
     evaluate = evaluator(setup.env, setup.learner, adapt, adapt.num_episodes)
     shares = []
     for seed in range(seeds):
-        init_key, _, key = streams(jax.random.key_data(jax.random.key(seed)))
+        init_key, loop_key, _ = streams(jax.random.key_data(jax.random.key(seed)))
+        key = jax.random.fold_in(loop_key, 0)
         returns = evaluate(setup.learner.init(init_key).params, key, part.tasks, part.demos).returns
         shares.append(float(np.mean(np.any(np.asarray(returns)[:, -1] > 0, axis=-1))))
     return shares
 
 
 def table(rows: list[dict[str, Any]]) -> str:
-    """The rows as Markdown: a line a start, a column for demonstrations and algorithm."""
+    """The rows as Markdown: seeds without any reward, and in brackets the mean share of tasks."""
     columns = list(dict.fromkeys((row["demonstrations"], row["algorithm"]) for row in rows))
+    seeds = len(rows[0]["tasks_rewarded"])
     lines = [
+        f"Of {seeds} seeds, how many see no reward after the first adaptation (in brackets: the "
+        "share of training tasks with a reward, mean over seeds).\n",
         "| start | " + " | ".join(f"{d}, {a}" for d, a in columns) + " |",
         "|---|" + "---|" * len(columns),
     ]

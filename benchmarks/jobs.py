@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import shlex
 import subprocess
 import sys
 from collections.abc import Sequence
@@ -85,9 +86,10 @@ def write_results(
     """Writes a table and its numbers with where they come from into `benchmarks/results/`."""
     if not jobs:
         raise SystemExit("no run is finished yet")
+    module = f"benchmarks.{Path(sys.argv[0]).stem}"
     origins = [json.loads((job.folder / "provenance.json").read_text()) for job in jobs]
     record = {
-        "command": f"python -m benchmarks.{name} " + " ".join(sys.argv[1:]),
+        "command": shlex.join(["python", "-m", module, *sys.argv[1:]]),
         "code": [dict(code) for code in {tuple(sorted(o["code"].items())) for o in origins}],
         "packages": origins[0]["packages"],
         "machine": origins[0]["machine"],

@@ -2,18 +2,21 @@
 
 from __future__ import annotations
 
-import json
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
+
+from emrld_jax.runs.files import write_json, write_text
 
 RESULTS = Path(__file__).parent / "results"
 
 
 def write_record(name: str, record: dict[str, Any], text: str) -> None:
-    """Prints and writes a Markdown table, and beside it a record as JSON."""
+    """Prints and writes a Markdown table, and beside it a record as JSON; overwrites nothing."""
     RESULTS.mkdir(exist_ok=True)
-    out = RESULTS / f"{name}-{datetime.now(UTC):%Y-%m-%d}"
-    out.with_suffix(".json").write_text(json.dumps(record, indent=2) + "\n")
-    out.with_suffix(".md").write_text(text + "\n")
+    first = f"{name}-{datetime.now(UTC):%Y-%m-%d}"
+    stems = (first, *(f"{first}_{i}" for i in range(2, 1000)))
+    out = next(RESULTS / stem for stem in stems if not (RESULTS / f"{stem}.json").exists())
+    write_json(out.with_suffix(".json"), record)
+    write_text(out.with_suffix(".md"), text + "\n")
     print(f"{text}\nwrote {out}.json and .md")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import shlex
 import sys
 from dataclasses import dataclass
@@ -47,10 +48,14 @@ def main() -> int:
     check_config(config)
     if not config.file:
         raise ConfigError("file=PATH is missing: the pickle or .npz file to import")
+    if not re.fullmatch(r"[A-Za-z0-9][A-Za-z0-9_.-]*", config.quality):
+        raise ConfigError(
+            f"quality={config.quality} is not allowed: it must be letters, digits, '_', '-' and '.'"
+        )
     out = Path(config.out or f"demos/{config.env}_{config.quality}.npz")
+    check_new_npz(out)
     command = shlex.join(["python", "-m", "emrld_jax.import_demos", *arguments])
     file = import_file(config.file, config.env, config.quality, command)
-    check_new_npz(out)
     demos.save(out, file, envs_jax.make(config.env))
     print(f"{out}: {_summary(file)}")
     return 0

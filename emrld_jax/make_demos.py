@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shlex
 import sys
 import time
 from dataclasses import dataclass, replace
@@ -13,7 +14,7 @@ import numpy as np
 from emrld_jax.demos import DemoSet
 from emrld_jax.demos.shipped import QUALITIES
 from emrld_jax.runs import cli
-from emrld_jax.runs.config import check_config
+from emrld_jax.runs.config import ConfigError, check_config
 from emrld_jax.runs.outputs import check_new_npz
 from emrld_jax.runs.usage import usage
 from emrld_jax.settings import setting
@@ -55,8 +56,11 @@ def main() -> int:
             )
         )
         return 0
-    config = cli.updated(MakeDemosConfig(), cli.parse(arguments, MakeDemosConfig(), {}))
+    values = cli.parse(arguments, MakeDemosConfig(), {})
+    config = cli.updated(MakeDemosConfig(), values)
     check_config(config)
+    if config.quality == "suboptimal" and "sparse_iterations" in values:
+        raise ConfigError("sparse_iterations has no effect with quality=suboptimal")
     out = Path(config.out or f"demos/{config.env}_{config.quality}.npz")
     check_new_npz(out)
     make_file(config, out)
@@ -95,7 +99,7 @@ def make_file(config: MakeDemosConfig, out: Path) -> None:
     figures = {"train": summary(file.train), "test": summary(file.test)}
     told = [argument for argument in sys.argv[1:] if not argument.startswith("out=")]
     origin = provenance(
-        command=" ".join(["python -m emrld_jax.make_demos", *told]),
+        command=shlex.join(["python", "-m", "emrld_jax.make_demos", *told]),
         seed=config.seed,
         **software(),
         figures=figures,

@@ -50,7 +50,9 @@ class MLP(nn.Module):
         return x
 
 
-def mirrored(initializer: nn.initializers.Initializer, axis: int, sign: float) -> Any:
+def mirrored(
+    initializer: nn.initializers.Initializer, axis: int, sign: float
+) -> nn.initializers.Initializer:
     """An initializer whose second half along the axis repeats the first, times a sign of 1 or -1.
 
     What is in the middle of an odd number stays, or for a sign of -1 is 0.
@@ -97,7 +99,7 @@ def gaussian_policy(
         ValueError: start_at_zero without a hidden layer.
     """
     if start_at_zero and not hidden_sizes:
-        raise ValueError("policy.start_at_zero=true needs a hidden layer in policy.hidden_sizes")
+        raise ValueError("start_at_zero needs a hidden layer, but hidden_sizes is empty")
     network = MLP((*hidden_sizes, action_size), activation, output_scale, start_at_zero)
     initial = jnp.full(action_size, jnp.log(std))
 

@@ -92,7 +92,7 @@ class PolicySettings:
     std: float = setting(0.5, "standard deviation of an action, in policy units", above=0)
     output_scale: float = setting(1.0, "factor on the last layer's initial weights", above=0)
     start_at_zero: bool = setting(
-        False, "make the initial mean action 0 everywhere, so that all seeds start alike"
+        False, "make the first mean action 0 at every observation; needs a hidden layer"
     )
     learn_std: bool = setting(False, "learn the standard deviation, starting from policy.std")
 

@@ -140,12 +140,23 @@ def test_a_policy_can_start_at_zero_and_leave_it(hidden_sizes: tuple[int, ...]) 
     first = np.asarray(before["params"][f"layer_{last}"]["kernel"])[:half]
     np.testing.assert_array_equal(kernels[-1][:half], first)
     np.testing.assert_array_equal(kernels[-1][hidden_sizes[-1] - half :], -first)
+    units = np.asarray(before["params"][f"layer_{last - 1}"]["kernel"])[
+        :, : hidden_sizes[-1] - half
+    ]
+    np.testing.assert_array_equal(kernels[-2][:, : hidden_sizes[-1] - half], units)
+    np.testing.assert_array_equal(kernels[-2][:, hidden_sizes[-1] - half :], units[:, :half])
 
-    def error(params: Params) -> jax.Array:
+    def squared_error(params: Params) -> jax.Array:
         return jnp.sum((paired.apply(params, obs).mean - 1.0) ** 2)
 
-    moved = jax.tree.map(lambda p, g: p - 1e-3 * g, params, jax.grad(error)(params))
-    assert error(moved) < error(params)
+    # of the sum of squares from 1 at a mean of 0: -2 times the last hidden units, summed
+    gradient = jax.grad(squared_error)(params)["params"][f"layer_{last}"]["kernel"]
+    hidden = np.asarray(obs)
+    for kernel in kernels[:-1]:
+        hidden = np.tanh(hidden @ kernel)
+    expected = np.repeat(-2 * hidden.sum(axis=0)[:, None], 2, axis=1)
+    assert np.abs(expected).min() > 0.01
+    np.testing.assert_allclose(gradient, expected, rtol=1e-4)
 
 
 def test_starting_at_zero_needs_a_hidden_layer() -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from functools import partial
 
 import jax
 import jax.numpy as jnp
@@ -25,7 +26,7 @@ def replay(env: Env, tasks: Task, demos: Demos) -> tuple[jax.Array, jax.Array]:
     """
     if demos.obs.shape[0] == 0:
         return jnp.zeros(0), jnp.zeros(0, bool)
-    return jax.jit(jax.vmap(lambda task, demo: _replay_one(env, task, demo)))(tasks, demos)
+    return _replay_all(env, tasks, demos)
 
 
 def state_at(env: Env, obs: jax.Array, task: Task) -> State:
@@ -40,6 +41,11 @@ def state_at(env: Env, obs: jax.Array, task: Task) -> State:
     if getattr(getattr(physical, name, None), "shape", None) != obs.shape:
         raise DemoError(f"{env.name} cannot start from an observation, so nothing can be replayed")
     return replace(state, pipeline_state=physical._replace(**{name: obs}), obs=obs)
+
+
+@partial(jax.jit, static_argnums=0)
+def _replay_all(env: Env, tasks: Task, demos: Demos) -> tuple[jax.Array, jax.Array]:
+    return jax.vmap(lambda task, demo: _replay_one(env, task, demo))(tasks, demos)
 
 
 def _replay_one(env: Env, task: Task, demo: Demos) -> tuple[jax.Array, jax.Array]:

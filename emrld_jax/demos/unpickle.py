@@ -7,7 +7,9 @@ given) ever run.
 
 from __future__ import annotations
 
+import io
 import pickle
+import pickletools
 from pathlib import Path
 from typing import Any
 
@@ -119,8 +121,9 @@ def read_pickle(path: Path, max_bytes: int = MAX_BYTES) -> Any:
     if path.stat().st_size > max_bytes:
         raise DemoError(f"{path}: larger than {max_bytes} bytes")
     try:
-        with path.open("rb") as file:
-            return _Unpickler(file, encoding="latin1").load()
+        data = path.read_bytes()
+        _check_numbers(data)
+        return _Unpickler(io.BytesIO(data), encoding="latin1").load()
     except DemoError as error:
         raise DemoError(f"{path}: {error}") from error
     except Exception as error:  # a broken pickle fails in any way it likes
@@ -128,6 +131,13 @@ def read_pickle(path: Path, max_bytes: int = MAX_BYTES) -> Any:
             f"{path}: not a whole pickle ({type(error).__name__}: {error}); allowed: a pickle, or "
             "an .npz file, in the layout of the paper's released demonstrations"
         ) from error
+
+
+def _check_numbers(data: bytes) -> None:
+    """Refuses entry numbers beyond the file's size: unpickling makes a table of that length."""
+    for opcode, argument, _ in pickletools.genops(data):
+        if "PUT" in opcode.name and isinstance(argument, int) and argument > len(data):
+            raise DemoError(f"the pickle numbers an entry {argument}, more than it has bytes")
 
 
 def count_items(value: Any, limit: int = MAX_ITEMS, depth: int = 4) -> int:

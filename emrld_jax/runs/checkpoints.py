@@ -44,9 +44,21 @@ class Checkpoints:
         self._manager = ocp.CheckpointManager(self._folder, options=options)
 
     def save(self, progressed: Progressed) -> None:
-        """Writes a checkpoint, unless there is one of this iteration."""
-        if progressed.iteration not in self._manager.all_steps():
-            self._manager.save(progressed.iteration, args=ocp.args.StandardSave(_tree(progressed)))
+        """Writes a checkpoint, unless there is one of this iteration.
+
+        Raises:
+            OSError: it cannot be written; those that are there stay.
+        """
+        step = progressed.iteration
+        if step in self._manager.all_steps():
+            return
+        try:
+            self._manager.save(step, args=ocp.args.StandardSave(_tree(progressed)))
+        except ValueError as error:  # what tensorstore raises, for a full disk too
+            reason = str(error).splitlines()[0][:200]
+            raise OSError(
+                f"checkpoint {step} of {self._folder} cannot be written: {reason}"
+            ) from error
 
     def restore(self, like: Progressed, note: Callable[[str], None]) -> Progressed | None:
         """The newest checkpoint that is whole; None if there is none.

@@ -120,16 +120,18 @@ def run_command(main: Callable[[], int]) -> NoReturn:
         print(f"error: {reason} ({advice})", file=sys.stderr)
         code = 1
     except KeyboardInterrupt:
-        print("interrupted before anything was saved", file=sys.stderr)
+        print("interrupted; what was saved before is kept", file=sys.stderr)
         code = 130
     sys.exit(code)
 
 
 def _keep_compiled_programs() -> None:
     """Lets JAX keep what it compiles in the user's cache folder, unless told another place."""
-    if "JAX_COMPILATION_CACHE_DIR" not in os.environ:
-        cache = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache")
-        jax.config.update("jax_compilation_cache_dir", str(cache / "emrld_jax" / "compiled"))
+    if "JAX_COMPILATION_CACHE_DIR" in os.environ:
+        return
+    cache = os.environ.get("XDG_CACHE_HOME") or os.path.expanduser("~/.cache")
+    if os.path.isabs(cache):  # a user without a home has none
+        jax.config.update("jax_compilation_cache_dir", os.path.join(cache, "emrld_jax/compiled"))
 
 
 def asks_for_help(arguments: Sequence[str]) -> bool:
@@ -231,6 +233,8 @@ def _check_setting(
         raise ConfigError(f"{argument} is not allowed: a path must not be empty")
     if key in PATHS and value is not None:
         return  # any text
+    if isinstance(value, str) and (value == "???" or "${" in value):
+        raise ConfigError(f"{argument}: ??? and ${{..}} are not allowed; give the value itself")
     try:
         OmegaConf.update(OmegaConf.structured(leaf.section), leaf.name, value)
     except OmegaConfBaseException as error:

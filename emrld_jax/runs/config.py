@@ -115,6 +115,12 @@ def check_config(config: Any) -> None:
                 check(section, f"{item.name}.")
     except ValueError as error:
         raise ConfigError(str(error)) from error
+    policy = getattr(config, "policy", None)
+    if policy is not None and policy.start_at_zero and not policy.hidden_sizes:
+        raise ConfigError(
+            "policy.hidden_sizes=[] is not allowed with policy.start_at_zero=true: the last hidden "
+            "layer's units make the start; give policy.start_at_zero=false"
+        )
 
 
 def algorithm_settings(config: TrainConfig) -> Settings:
@@ -192,7 +198,10 @@ def _check_names(path: Path, values: Mapping[str, Any]) -> None:
         ("has unknown settings:", [name for name in values if name not in known]),
     ):
         if names_:
-            raise ConfigError(f"{path} {problem} {', '.join(names_)}")
+            raise ConfigError(
+                f"{path} {problem} {', '.join(names_)}; it must have the settings of this version, "
+                "no more and no fewer"
+            )
     for name in PATHS:
         if name in known and not isinstance(values[name], str | type(known[name])):
             raise ConfigError(f"{path}: {name}={values[name]} is not allowed: it must be a text")

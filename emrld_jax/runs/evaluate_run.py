@@ -17,7 +17,7 @@ from emrld_jax.runs.files import write_json
 from emrld_jax.runs.folder import RunFolder, new_folder
 from emrld_jax.runs.pictures import adaptation_curve, is_planar, trajectories
 from emrld_jax.runs.progress import tell
-from emrld_jax.runs.provenance import provenance
+from emrld_jax.runs.provenance import provenance, read_provenance, sha256
 from emrld_jax.runs.report import SPLITS, before_and_after, with_interval
 from emrld_jax.runs.setup import Setup, set_up
 from emrld_jax.runs.training import initial
@@ -41,6 +41,7 @@ def evaluate_run(config: EvaluateConfig, console: Console) -> int:
     demos: DemoSet = getattr(setup.demos, config.tasks)
     if not demos.demos.mask.shape[0]:
         raise ConfigError(f"tasks={config.tasks}: {setup.demos_path} has no such demonstrations")
+    _tell_of_other_demonstrations(setup, folder, console)
     params, iteration = _newest(setup, folder, console)
     title = f"{trained.env.name}, {trained.algo}: {SPLITS[config.tasks]} tasks"
     title += ", mean action" * config.deterministic
@@ -74,6 +75,12 @@ def evaluate_run(config: EvaluateConfig, console: Console) -> int:
 def evaluation_key(seed: int) -> jax.Array:
     """The key of an evaluation; training folds only small numbers into its seed's key."""
     return jax.random.fold_in(jax.random.key(seed), STREAM)
+
+
+def _tell_of_other_demonstrations(setup: Setup, folder: RunFolder, console: Console) -> None:
+    trained_on = read_provenance(folder.provenance)["demos"]["sha256"]
+    if sha256(setup.demos_path) != trained_on:
+        tell(console, f"note: {setup.demos_path} is not the file that the run was trained on")
 
 
 def _newest(setup: Setup, folder: RunFolder, console: Console) -> tuple[Params, int]:

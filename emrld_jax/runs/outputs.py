@@ -23,4 +23,4 @@ def check_new_npz(out: Path) -> None:
         with tempfile.TemporaryFile(dir=existing):
             pass
     except OSError as error:
-        raise ConfigError(f"out={out} cannot be written: {error}") from error
+        raise ConfigError(f"out={out}: {existing} cannot be written ({error.strerror})") from error

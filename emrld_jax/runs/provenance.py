@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+import json
 import os
 import platform
 import subprocess
@@ -13,6 +14,8 @@ from pathlib import Path
 from typing import Any
 
 import jax
+
+from emrld_jax.runs.config import ConfigError
 
 CODE = (".", "../envs_jax")  # what decides results, seen from this package
 PACKAGES = ("emrld-jax", "jax", "jaxlib", "flax", "optax", "orbax-checkpoint", "numpy")
@@ -27,6 +30,25 @@ def provenance(demos: Path) -> dict[str, Any]:
         "machine": machine(),
         "demos": {"path": str(demos), "sha256": sha256(demos)},
     }
+
+
+def read_provenance(path: Path) -> dict[str, Any]:
+    """The record of how a run began, with all that is compared later.
+
+    Raises:
+        ConfigError: the file cannot be read or lacks something.
+    """
+    try:
+        record = json.loads(path.read_text())
+    except (OSError, ValueError) as error:
+        raise ConfigError(f"{path} cannot be read: {error}") from error
+    kinds = {"code": dict, "packages": dict, "demos": dict, "resumed": list}
+    whole = isinstance(record, dict) and all(
+        isinstance(record.get(name), kind) for name, kind in kinds.items()
+    )
+    if not whole or "sha256" not in record["demos"]:
+        raise ConfigError(f"{path} must have {', '.join(kinds)}, and demos a sha256")
+    return record
 
 
 def software() -> dict[str, Any]:

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
 from typing import NamedTuple
@@ -38,23 +36,15 @@ def set_up(config: TrainConfig) -> Setup:
     Raises:
         ConfigError, DemoError: settings or demonstrations are refused.
     """
-    with _refusing():
+    try:
         env = make_env(config.env)
+    except ValueError as error:
+        raise ConfigError(str(error)) from error
     path = resolve(config.demos, config.env.name)
     demos = load(path, env)
     if config.demos not in QUALITIES:
         config = replace(config, demos=str(path.absolute()))  # valid from any working directory
     if config.w_rl is None:
         config = replace(config, w_rl=default_w_rl(demos.quality))
-    with _refusing():
-        learner = algorithms.make(config.algo, env, algorithm_settings(config))
+    learner = algorithms.make(config.algo, env, algorithm_settings(config))
     return Setup(config, path, demos, env, learner)
-
-
-@contextmanager
-def _refusing() -> Iterator[None]:
-    """Settings that parts refuse are refused as configuration."""
-    try:
-        yield
-    except ValueError as error:
-        raise ConfigError(str(error)) from error

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-import json
 import math
+import signal
 import time
 from dataclasses import replace
 from pathlib import Path
@@ -13,22 +13,24 @@ import jax
 import jax.numpy as jnp
 from rich.console import Console
 
+from emrld_jax.demos import DemoError, check_tasks
 from emrld_jax.runs.checkpoints import Checkpoints, Progressed
 from emrld_jax.runs.config import ConfigError, TrainConfig, save_config
 from emrld_jax.runs.files import write_json
 from emrld_jax.runs.folder import RunFolder, new_run_folder
 from emrld_jax.runs.metrics import MetricsLog, Record, read_metrics
 from emrld_jax.runs.progress import ProgressView, figures, tell
-from emrld_jax.runs.provenance import provenance
+from emrld_jax.runs.provenance import provenance, read_provenance
 from emrld_jax.runs.report import report
 from emrld_jax.runs.setup import Setup, set_up
 from emrld_jax.runs.signals import StopSignals
 
 PATIENCE = 5  # iterations without a meta-gradient before the user is told
 NO_REWARD = (
-    f"note: no reward in {PATIENCE} iterations, so there is no meta-gradient and nothing is "
-    "learned. Another seed may find the first one; so may other demonstrations, or a smaller "
-    "policy.std or larger adapt.learning_rate, which let demonstrations move the policy more."
+    f"note: no reward after adaptation in {PATIENCE} iterations, so there is no meta-gradient and "
+    "nothing is learned. Another seed may find the first one; so may other demonstrations, or what "
+    "lets them move the first policy more: a larger adapt.learning_rate or policy.output_scale, a "
+    "smaller policy.std. docs/tuning.md tells what helped where."
 )
 
 
@@ -47,27 +49,35 @@ def train(config: TrainConfig, console: Console) -> int:
     """
     setup = set_up(config)
     folder = _folder(setup, console)
-    with StopSignals() as stop, folder.locked():
-        if config.resume is None:
-            progressed = _start(setup, folder, console)
-        else:
-            progressed = _continue(setup, folder, console)
-        if folder.finished:
-            tell(console, f"{folder.path} is finished: {progressed.iteration} meta-iterations.")
-            tell(console, f"To go on: {folder.resume_command} meta.iterations=MORE")
-            return 0
-        try:
-            progressed = _loop(setup, folder, progressed, stop, console)
-        except DivergenceError as error:
-            tell(Console(stderr=True), f"error: {error}")
-            return 1
-        if progressed.iteration < setup.config.meta.iterations:
+    with folder.locked():
+        with StopSignals() as stop:
+            begin = _start if config.resume is None else _continue
+            progressed = begin(setup, folder, console)
+            if folder.finished:
+                tell(console, f"{folder.path} is finished: {progressed.iteration} meta-iterations.")
+                tell(console, f"To go on: {folder.resume_command} meta.iterations=MORE")
+                tell(console, f"To evaluate: python -m emrld_jax.evaluate run={folder.path}")
+                return 0
+            try:
+                progressed = _loop(setup, folder, progressed, stop, console)
+            except DivergenceError as error:
+                tell(Console(stderr=True), f"error: {error}")
+                return 1
+        if stop.received is not None:
             tell(console, f"Stopped after iteration {progressed.iteration}; all is saved.")
             tell(console, f"To go on: {folder.resume_command}")
             return stop.exit_code
-        tell(console, "evaluating and drawing")
-        _, _, evaluation_key = streams(progressed.key)
-        report(setup, folder, progressed.state.params, evaluation_key, console)
+        return _finish(setup, folder, progressed, console)
+
+
+def _finish(setup: Setup, folder: RunFolder, progressed: Progressed, console: Console) -> int:
+    """Evaluates, draws and writes results.json. A signal ends it; the run can then be resumed."""
+    tell(console, "evaluating and drawing (all is saved)")
+    try:
+        report(setup, folder, progressed.state.params, streams(progressed.key)[2], console)
+    except KeyboardInterrupt:
+        tell(console, f"To go on: {folder.resume_command}")
+        return 128 + signal.SIGINT
     return 0
 
 
@@ -115,11 +125,15 @@ def _start(setup: Setup, folder: RunFolder, console: Console) -> Progressed:
     save_config(setup.config, folder.config)
     write_json(folder.provenance, {**provenance(setup.demos_path), "resumed": []})
     tell(console, f"run folder: {folder.path}")
+    try:
+        check_tasks(setup.demos, setup.env)
+    except DemoError as error:
+        tell(console, f"note: tasks are those that {setup.demos_path} demonstrates ({error})")
     return initial(setup)
 
 
 def _continue(setup: Setup, folder: RunFolder, console: Console) -> Progressed:
-    first, now = _read_provenance(folder.provenance), provenance(setup.demos_path)
+    first, now = read_provenance(folder.provenance), provenance(setup.demos_path)
     if first["demos"]["sha256"] != now["demos"]["sha256"]:
         raise ConfigError(
             f"{setup.demos_path} has changed since {folder.path} began: it cannot be continued"
@@ -153,7 +167,15 @@ def _restored(setup: Setup, folder: RunFolder, console: Console) -> Progressed:
             f"{folder.checkpoints} has no checkpoint, though {folder.metrics.name} tells of "
             f"{len(records)} iterations: it cannot be continued"
         )
-    return restored or progressed
+    progressed = restored or progressed
+    records = records[: progressed.iteration]
+    told = [record["iteration"] for record in records if "adapt/return_0" in record]
+    if told != list(range(progressed.iteration)):
+        raise ConfigError(
+            f"{folder.metrics} does not tell of the {progressed.iteration} iterations that the "
+            "newest checkpoint has had, one a line: it cannot be continued"
+        )
+    return progressed
 
 
 def _loop(
@@ -203,22 +225,3 @@ def _check_finite(i: int, metrics: dict[str, float], params: Any) -> None:
             f"iteration {i + 1} made {', '.join(wrong)} infinite or NaN; the state before it is "
             "saved. A smaller adapt.learning_rate or meta.max_kl may help, in a new run."
         )
-
-
-def _read_provenance(path: Path) -> dict[str, Any]:
-    """The record of how a run began, with all that a resumed run compares.
-
-    Raises:
-        ConfigError: the file cannot be read or lacks something.
-    """
-    try:
-        record = json.loads(path.read_text())
-    except (OSError, ValueError) as error:
-        raise ConfigError(f"{path} cannot be read: {error}") from error
-    kinds = {"code": dict, "packages": dict, "demos": dict, "resumed": list}
-    whole = isinstance(record, dict) and all(
-        isinstance(record.get(name), kind) for name, kind in kinds.items()
-    )
-    if not whole or "sha256" not in record["demos"]:
-        raise ConfigError(f"{path} must have {', '.join(kinds)}, and demos a sha256")
-    return record

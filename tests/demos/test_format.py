@@ -16,6 +16,7 @@ import pytest
 import envs_jax
 from emrld_jax import demos
 from emrld_jax.demos import DemoError, DemoFile, DemoSet
+from emrld_jax.demos.shipped import QUALITIES
 from emrld_jax.types import Demos
 
 ENV = envs_jax.make("point2d")
@@ -343,10 +344,10 @@ def test_resolve(saved) -> None:
         demos.resolve("optimal", "chess")
 
 
-@pytest.mark.parametrize("path", sorted(Path(demos.__file__).parent.glob("data/*.npz")), ids=str)
-def test_shipped_files(path) -> None:
-    """Every shipped file loads, has the environment's tasks, and says what a replay gives."""
-    environment, _, quality = path.stem.rpartition("_")
+@pytest.mark.parametrize("quality", QUALITIES)
+@pytest.mark.parametrize("environment", envs_jax.names())
+def test_shipped_files(environment: str, quality: str) -> None:
+    """Every environment's files have its tasks, what a replay gives, and the quality they claim."""
     env = envs_jax.make(environment)
     shipped = demos.load(demos.resolve(quality, environment), env)
     assert shipped.quality == quality
@@ -355,6 +356,22 @@ def test_shipped_files(path) -> None:
         returns, success = demos.replay(env, part.tasks, part.demos)
         np.testing.assert_allclose(returns, part.returns, atol=0.02)
         np.testing.assert_array_equal(success, part.success)
+        if quality == "optimal":
+            assert part.success.all()
+        elif environment == "point2d":
+            assert not part.success.any()
+            assert (end_distances(part) < 0.4).all()
+        else:
+            assert not part.success.all()
+
+
+def end_distances(part: demos.DemoSet) -> np.ndarray:
+    """How far from the goal Point2D's demonstrations end, m: the last position and its move."""
+    last = np.asarray(part.demos.mask).sum(axis=1).astype(int) - 1
+    rows = np.arange(len(last))
+    moves = 0.1 * np.asarray(part.demos.action)[rows, last]
+    ends = np.asarray(part.demos.obs)[rows, last] + moves
+    return np.linalg.norm(ends - np.asarray(part.tasks.goal), axis=1)
 
 
 def test_the_example_of_the_documentation(tmp_path, monkeypatch) -> None:

@@ -32,7 +32,7 @@ REFUSED = [
     ("adapt.num_episodes=2.5", ["adapt.num_episodes", "a whole number"]),
     ("adapt.first_order=maybe", ["adapt.first_order", "true or false"]),
     ("policy.hidden_sizes=[8,0]", ["policy.hidden_sizes", "at least 1"]),
-    ("policy.hidden_sizes=[]", ["policy.start_at_zero=true needs a hidden layer"]),
+    ("policy.hidden_sizes=[]", ["policy.hidden_sizes=[]", "policy.start_at_zero=false"]),
     ("policy={std: 1}", ["policy is a section", "policy.std"]),
     ("seed=1,2", ["seed=1,2", "one value at a time"]),
     ("+seed=1", ["+seed=1", "setting=value"]),
@@ -157,6 +157,13 @@ def test_all_documented_overrides_together() -> None:
 @pytest.mark.parametrize("env", cli.groups()["env"])
 def test_the_paper_preset_overrides_tuned_defaults(env: str) -> None:
     config = cli.train_config([f"env={env}", "experiment=paper"])
+    preset = yaml.safe_load((cli.CONF / "experiment" / "paper.yaml").read_text())
+    tuned = yaml.safe_load((cli.CONF / "env" / f"{env}.yaml").read_text())
+    for section in ("policy", "adapt", "meta"):
+        assert set(tuned[section]) - {"iterations"} <= set(preset[section])
+    assert (config.policy.start_at_zero, config.policy.output_scale) == (False, 1.0)
+    assert (config.meta.fisher_every, config.meta.max_backtracks) == (1, 15)
+    assert config.adapt.warm_start_rate == 0.01
     assert (config.policy.activation, config.policy.hidden_sizes) == ("relu", [100, 100])
     assert (config.policy.std, config.policy.learn_std) == (0.5, False)
     assert (config.adapt.num_steps, config.adapt.num_episodes) == (1, 20)

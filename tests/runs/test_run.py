@@ -188,6 +188,7 @@ DAMAGES: list[tuple[str, Callable[[Path], Any], str]] = [
     ("checkpoints broken", damage_checkpoints, "none of the checkpoints can be read"),
     ("checkpoints gone", lambda f: shutil.rmtree(f / "checkpoints"), "has no checkpoint, though"),
     ("metrics", damage_metrics, "metrics.jsonl, line 2"),
+    ("metrics gone", lambda f: (f / "metrics.jsonl").unlink(), "does not tell of the 3 iterations"),
     ("provenance", lambda f: (f / "provenance.json").write_text("{}"), "provenance.json must have"),
     (
         "configuration",
