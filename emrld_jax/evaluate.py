@@ -4,14 +4,14 @@ from __future__ import annotations
 
 import sys
 
-from emrld_jax.runs import cli
+from emrld_jax.runs import cli, help_texts
 
 
 def main() -> int:
     """Evaluates as the command line says."""
     arguments = sys.argv[1:]
-    if cli.asks_for_help(arguments):
-        print(cli.evaluate_usage(arguments))
+    if help_texts.asks_for_help(arguments):
+        print(help_texts.evaluate_usage(arguments))
         return 0
     config = cli.evaluate_config(arguments)
     # only now, since it imports orbax and matplotlib: wrong arguments are told at once

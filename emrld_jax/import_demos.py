@@ -15,6 +15,7 @@ from emrld_jax import demos
 from emrld_jax.demos.importers import import_file
 from emrld_jax.runs import cli
 from emrld_jax.runs.config import ConfigError, check_config
+from emrld_jax.runs.help_texts import asks_for_help
 from emrld_jax.runs.outputs import check_new_npz
 from emrld_jax.runs.usage import usage
 from emrld_jax.settings import setting
@@ -33,7 +34,7 @@ class ImportDemosConfig:
 def main() -> int:
     """Imports demonstrations as the command line says."""
     arguments = sys.argv[1:]
-    if cli.asks_for_help(arguments):
+    if asks_for_help(arguments):
         print(
             usage(
                 "emrld_jax.import_demos",

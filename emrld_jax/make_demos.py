@@ -15,6 +15,7 @@ from emrld_jax.demos import DemoSet
 from emrld_jax.demos.shipped import QUALITIES
 from emrld_jax.runs import cli
 from emrld_jax.runs.config import ConfigError, check_config
+from emrld_jax.runs.help_texts import asks_for_help
 from emrld_jax.runs.outputs import check_new_npz
 from emrld_jax.runs.usage import usage
 from emrld_jax.settings import setting
@@ -45,7 +46,7 @@ class MakeDemosConfig:
 def main() -> int:
     """Makes demonstrations as the command line says."""
     arguments = sys.argv[1:]
-    if cli.asks_for_help(arguments):
+    if asks_for_help(arguments):
         print(
             usage(
                 "emrld_jax.make_demos",

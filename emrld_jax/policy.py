@@ -101,7 +101,8 @@ def gaussian_policy(
     if start_at_zero and not hidden_sizes:
         raise ValueError("start_at_zero needs a hidden layer, but hidden_sizes is empty")
     network = MLP((*hidden_sizes, action_size), activation, output_scale, start_at_zero)
-    initial = jnp.full(action_size, jnp.log(std))
+    # with a dtype: weakly typed parameters would compile everything twice
+    initial = jnp.full(action_size, jnp.log(std), dtype=float)
 
     def init(key: jax.Array) -> Params:
         params: dict[str, Any] = dict(network.init(key, jnp.zeros(observation_size)))

@@ -4,14 +4,14 @@ from __future__ import annotations
 
 import sys
 
-from emrld_jax.runs import cli
+from emrld_jax.runs import cli, help_texts
 
 
 def main() -> int:
     """Trains as the command line says."""
     arguments = sys.argv[1:]
-    if cli.asks_for_help(arguments):
-        print(cli.train_usage(arguments))
+    if help_texts.asks_for_help(arguments):
+        print(help_texts.train_usage(arguments))
         return 0
     config = cli.train_config(arguments)
     # only now, since it imports orbax and matplotlib: wrong arguments are told at once

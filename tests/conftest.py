@@ -7,6 +7,7 @@ import subprocess
 import sys
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 # Set in the environment as well, so that commands which a test starts run on the CPU too. Two
 # threads: the arrays are small, and more threads only fight over the cores of a shared machine.
@@ -22,6 +23,13 @@ jax.config.update("jax_platforms", "cpu")
 jax.config.update("jax_numpy_rank_promotion", "raise")
 
 ROOT = Path(__file__).resolve().parents[1]
+
+
+def compiled(jitted: Any) -> int:
+    """How many versions of a jitted function there are."""
+    return int(jitted._cache_size())
+
+
 Command = Callable[..., subprocess.CompletedProcess[str]]
 
 

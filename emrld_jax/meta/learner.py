@@ -38,6 +38,9 @@ class Experience(NamedTuple):
     outer: Rollout  # that the adapted policies collected
 
 
+Sizes = Any  # an Experience with a number of steps in place of each Rollout
+
+
 class MetaLearner(NamedTuple):
     """A meta-RL algorithm as functions."""
 
@@ -88,7 +91,7 @@ def meta_learner(
 
     @partial(jax.jit, static_argnames="sizes")
     def improve(
-        state: MetaState, experience: Experience, demos: Demos, sizes: Experience
+        state: MetaState, experience: Experience, demos: Demos, sizes: Sizes
     ) -> tuple[MetaState, Metrics]:
         def objective(every: int) -> Objective:
             steps = _gather_living(experience, sizes, every)
@@ -128,7 +131,7 @@ def _is_rollout(x: Any) -> bool:
     return isinstance(x, Rollout)
 
 
-def _gather_living(experience: Experience, sizes: Experience, every: int) -> Experience:
+def _gather_living(experience: Experience, sizes: Sizes, every: int) -> Experience:
     """The episodes' existing steps, [M, size, ..], padded to the sizes; or a sample of them."""
 
     def of_tasks(rollout: Rollout, size: int) -> Rollout:

@@ -31,7 +31,7 @@ from emrld_jax.runs.config import (
     load_config,
     updated,
 )
-from emrld_jax.runs.usage import Leaf, leaves, usage
+from emrld_jax.runs.usage import Leaf, leaves
 from emrld_jax.settings import allowed_values
 
 __all__ = ["evaluate_config", "parse", "run_command", "train_config", "updated"]
@@ -39,7 +39,6 @@ __all__ = ["evaluate_config", "parse", "run_command", "train_config", "updated"]
 CONF = Path(__file__).parents[1] / "conf"
 
 SIZES = ("adapt.num_episodes", "env.horizon", "policy.hidden_sizes")  # what memory grows with
-HELP = ("-h", "--help", "help")
 
 Values = dict[str, Any]
 
@@ -59,10 +58,7 @@ def train_config(arguments: Sequence[str]) -> TrainConfig:
     values = parse(arguments, TrainConfig(), groups())
     config = _resumed(values) if values.get("resume") else _composed(arguments, values)
     check_config(config)
-    for key in values:
-        if not algorithms.uses(config.algo, key):
-            users = ", ".join(name for name in algorithms.names() if algorithms.uses(name, key))
-            raise ConfigError(f"{key} has no effect with algo={config.algo}; it is for {users}")
+    _check_used(config.algo, values)
     return config
 
 
@@ -75,10 +71,19 @@ def evaluate_config(arguments: Sequence[str]) -> EvaluateConfig:
     values = parse(arguments, EvaluateConfig(), {})
     if not values.get("run"):
         raise ConfigError("run=RUN_DIR is missing: the folder of the run to evaluate")
-    own = load_config(Path(values["run"]) / "config.yaml").adapt
-    config = updated(EvaluateConfig(adapt=own), values)
+    trained = load_config(Path(values["run"]) / "config.yaml")
+    config = updated(EvaluateConfig(adapt=trained.adapt), values)
     check_config(config)
+    _check_used(trained.algo, values)
     return config
+
+
+def _check_used(algo: str, values: Values) -> None:
+    """Refuses settings that the algorithm has no use for."""
+    for key in values:
+        if not algorithms.uses(algo, key):
+            users = ", ".join(name for name in algorithms.names() if algorithms.uses(name, key))
+            raise ConfigError(f"{key} has no effect with algo={algo}; it is for {users}")
 
 
 def parse(arguments: Sequence[str], schema: Any, options: dict[str, tuple[str, ...]]) -> Values:
@@ -132,55 +137,6 @@ def _keep_compiled_programs() -> None:
     cache = os.environ.get("XDG_CACHE_HOME") or os.path.expanduser("~/.cache")
     if os.path.isabs(cache):  # a user without a home has none
         jax.config.update("jax_compilation_cache_dir", os.path.join(cache, "emrld_jax/compiled"))
-
-
-def asks_for_help(arguments: Sequence[str]) -> bool:
-    """Whether the arguments ask what the settings are."""
-    return any(argument in HELP for argument in arguments)
-
-
-def train_usage(arguments: Sequence[str] = ()) -> str:
-    """The help text of `emrld_jax.train`, with the values that the other arguments give."""
-    return usage(
-        "emrld_jax.train",
-        "Meta-train a policy with demonstrations; writes a run folder.",
-        _examples("train"),
-        train_config(_without_help(arguments)),
-        groups(),
-    )
-
-
-def evaluate_usage(arguments: Sequence[str] = ()) -> str:
-    """The help text of `emrld_jax.evaluate`, with the values that the other arguments give."""
-    others = _without_help(arguments)
-    values = parse(others, EvaluateConfig(), {})
-    return usage(
-        "emrld_jax.evaluate",
-        "Evaluate a run's policy after 0, 1, .. adaptation steps; writes into the run folder.\n"
-        "What is not given of adapt is the run's own, which run=RUN_DIR --help shows.",
-        _examples("evaluate"),
-        evaluate_config(others) if values.get("run") else updated(EvaluateConfig(), values),
-        {},
-    )
-
-
-def _without_help(arguments: Sequence[str]) -> list[str]:
-    return [argument for argument in arguments if argument not in HELP]
-
-
-def _examples(command: str) -> tuple[str, ...]:
-    return {
-        "train": (
-            "env=point2d",
-            "env=two_wheeled algo=emrld_ws demos=suboptimal seed=3 meta.iterations=100",
-            "env=point2d experiment=paper adapt.num_steps=2 meta.max_kl=0.02",
-            "resume=runs/point2d/emrld-optimal/seed0 meta.iterations=300",
-        ),
-        "evaluate": (
-            "run=runs/point2d/emrld-optimal/seed0",
-            "run=runs/point2d/emrld-optimal/seed0 tasks=test adapt.num_steps=3 episodes=100",
-        ),
-    }[command]
 
 
 def _parse_one(argument: str) -> tuple[str, Any]:

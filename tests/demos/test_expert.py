@@ -18,6 +18,7 @@ from emrld_jax.sampling.rollouts import episode
 from envs_jax import Env
 from envs_jax.goals import GoalTask
 from envs_jax.two_wheeled_drift import DriftTask
+from tests.conftest import compiled
 
 KEY = jax.random.key(0)
 GOAL = GoalTask(jnp.array([1.5, -2.0]))
@@ -95,6 +96,7 @@ def test_some_updates_raise_the_return_and_the_tasks_are_told_apart() -> None:
         return episode(env, own, state.policy, KEY, task).obs[-1]
 
     ends = end(tasks)
+    assert compiled(one.update) == 1
     assert float(ends[0, 0]) > 0.3
     assert float(ends[1, 0]) < -0.3
 

@@ -98,6 +98,14 @@ def test_arrays_of_anything_but_numbers_are_refused(tmp_path, value) -> None:
         read_pickle(dump(tmp_path / "a.p", value))
 
 
+def test_an_entry_number_beyond_the_file_is_refused(tmp_path) -> None:
+    """Nine bytes that would make a table of 2^24 entries: None, put as number 2^24, the end."""
+    path = tmp_path / "large.p"
+    path.write_bytes(b"\x80\x02Nr\x00\x00\x00\x01.")
+    with pytest.raises(DemoError, match=r"large\.p.*16777216"):
+        read_pickle(path)
+
+
 def test_broken_pickles_are_refused(tmp_path) -> None:
     path = dump(tmp_path / "a.p", {"state": np.zeros((3, 2))})
     whole = path.read_bytes()

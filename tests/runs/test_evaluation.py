@@ -18,7 +18,7 @@ from emrld_jax.runs.training import streams
 from emrld_jax.sampling.rollouts import collector
 from emrld_jax.settings import AdaptSettings, PolicySettings, Settings
 from envs_jax import make
-from tests.conftest import Command
+from tests.conftest import Command, compiled
 
 EPISODES = 4
 
@@ -60,6 +60,16 @@ def test_returns_at_every_stage_are_those_of_numpy(demos: Path) -> None:
         for stage, stage_params in enumerate((path[0], path[-2], path[-1])):
             expected = point2d_return(stage_params, np.asarray(task.goal), env.horizon)
             np.testing.assert_allclose(evaluation.returns[m, stage], expected, rtol=1e-4)
+
+
+def test_a_second_evaluation_compiles_nothing_again(demos: Path) -> None:
+    env, adapt = make("point2d", horizon=5), AdaptSettings(num_episodes=2)
+    learner = algorithms.make("maml", env, Settings(adapt=adapt))
+    part, evaluate = load(demos, env).train, evaluator(env, learner, adapt, EPISODES)
+    for seed in range(2):
+        params = learner.init(jax.random.key(seed)).params
+        evaluate(params, jax.random.key(seed), part.tasks, part.demos)
+    assert compiled(evaluate) == 1
 
 
 def test_an_evaluation_shares_no_key_with_training() -> None:
