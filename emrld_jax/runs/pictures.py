@@ -103,7 +103,10 @@ def _draw(axes: Axes, env: Any, panel: Panel) -> None:
     for task, shade in enumerate(shades):
         axes.plot(*_points(demos.obs[task], demos.mask[task]), "k--", linewidth=0.8, alpha=0.7)
         for obs, mask in zip(panel.obs[task], panel.mask[task], strict=True):
-            axes.plot(*_path(obs, mask), color=shade, linewidth=1.0, alpha=0.8)
+            # a dot at the end: some paths stay where they begin
+            x, y = _path(obs, mask)
+            axes.plot(x, y, color=shade, linewidth=1.0, alpha=0.8)
+            axes.plot(x[-1], y[-1], ".", color=shade, markersize=4)
     axes.set(title=panel.title, xlabel="x (m)", ylabel="y (m)", aspect="equal")
     axes.grid(alpha=0.2)
 
