@@ -288,6 +288,6 @@ def test_a_run_that_sees_no_reward_says_so_once(
     known = {a.split("=")[0]: a for a in arguments}.values()  # the last of each
     done = command("train", "env=point2d", f"demos={demos}", f"runs={tmp_path}", *known)
     assert done.returncode == 0, done.stderr
-    assert done.stdout.count("no reward in 5 iterations") == 1
+    assert done.stdout.count("no reward after adaptation in 5 iterations") == 1
     records = read_metrics(tmp_path / "point2d" / "emrld-lines" / "seed0" / "metrics.jsonl")
     assert [record["outer/gradient_norm"] for record in records] == [0.0] * 7
