@@ -11,7 +11,7 @@ import jax.numpy as jnp
 from emrld_jax.policy import Policy, log_prob
 from emrld_jax.types import Demos, Params, Rollout
 
-# (policy, params, rollout or None, demos) -> []
+# (policy, params, rollout or None, demos) -> []; each step of the rollout weighed by its advantage
 InnerLoss = Callable[[Policy, Params, Rollout | None, Demos], jax.Array]
 
 

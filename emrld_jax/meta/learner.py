@@ -17,11 +17,12 @@ from emrld_jax.sampling.rollouts import (
     episode_successes,
     gather_living,
     living_steps,
+    without_idle_steps,
 )
 from emrld_jax.types import Collect, Demos, Gaussian, Params, Rollout, Task
 
 # Sizes, as parts of all steps, that a batch of gathered steps is padded to: each compiles once.
-BUCKETS = (0.25, 0.5, 1.0)
+BUCKETS = (0.0, 0.25, 0.5, 1.0)
 
 
 class MetaState(NamedTuple):
@@ -71,8 +72,9 @@ def meta_learner(
 
     A meta-iteration is two compiled programs. The first collects all episodes, without gradients.
     The second re-adapts on them as a function of the meta-parameters, which the optimizer improves.
-    Between them the number of steps that exist is read, so that steps after an episode's end can be
-    left out.
+    Between them the number of steps that matter is read, so that the others can be left out: steps
+    after an episode's end, and of those that adaptation uses, steps without an advantage. (An inner
+    loss must weigh each step's term by its advantage.)
     """
     adapt_one = partial(adapt, policy, inner_steps)
 
@@ -86,8 +88,14 @@ def meta_learner(
         return Experience(adapted.rollouts, collect(adapted.params, outer_key, task))
 
     @jax.jit
-    def gather(params: Params, keys: jax.Array, tasks: Task, demos: Demos) -> Experience:
-        return jax.vmap(gather_one, in_axes=(None, 0, 0, 0))(params, keys, tasks, demos)
+    def gather(
+        params: Params, keys: jax.Array, tasks: Task, demos: Demos
+    ) -> tuple[Experience, Metrics]:
+        experience = jax.vmap(gather_one, in_axes=(None, 0, 0, 0))(params, keys, tasks, demos)
+        metrics = _episode_metrics(experience)
+        # adaptation weighs steps by their advantage, the trust region does not
+        inner = jax.tree.map(jax.vmap(without_idle_steps), experience.inner, is_leaf=_is_rollout)
+        return experience._replace(inner=inner), metrics
 
     @partial(jax.jit, static_argnames="sizes")
     def improve(
@@ -98,19 +106,19 @@ def meta_learner(
             policies = _adapted_policies(policy, inner_steps, steps, demos)
             return outer_objective(policies, steps, demos)
 
-        params, opt_state, outer = optimizer.update(
+        params, opt_state, metrics = optimizer.update(
             objective(1), objective(curvature_every), state.params, state.opt_state
         )
-        metrics = _episode_metrics(experience)
-        return MetaState(params, opt_state), {**metrics, **outer}
+        return MetaState(params, opt_state), metrics
 
     def update(
         state: MetaState, key: jax.Array, tasks: Task, demos: Demos
     ) -> tuple[MetaState, Metrics]:
         keys = jax.random.split(key, demos.mask.shape[0])
-        experience = gather(state.params, keys, tasks, demos)
+        experience, metrics = gather(state.params, keys, tasks, demos)
         sizes = jax.tree.map(bucket, experience, is_leaf=_is_rollout)
-        return improve(state, experience, demos, sizes)
+        state, outer = improve(state, experience, demos, sizes)
+        return state, {**metrics, **outer}
 
     return MetaLearner(
         policy,

@@ -56,6 +56,18 @@ def living_steps(rollout: Rollout) -> jax.Array:
     return jnp.sum(rollout.trajectory.mask, axis=(-2, -1)).astype(jnp.int32)
 
 
+def without_idle_steps(rollout: Rollout) -> Rollout:
+    """The same policy gradient from fewer steps: those of advantage 0 are masked out.
+
+    Advantages are scaled by the share of steps that stay, so that a mean over steps, each weighed
+    by its advantage, is what it was. Without any reward nothing stays. [E, T, ..].
+    """
+    mask = rollout.trajectory.mask
+    weighs = mask * (rollout.advantage != 0)
+    share = jnp.sum(weighs) / jnp.maximum(jnp.sum(mask), 1.0)
+    return Rollout(rollout.trajectory._replace(mask=weighs), rollout.advantage * share)
+
+
 def gather_living(rollout: Rollout, size: int, every: int = 1) -> Rollout:
     """One task's existing steps, in order, padded to `size` with mask 0. [E, T, ..] -> [size, ..].
 

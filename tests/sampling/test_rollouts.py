@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 import envs_jax
+from emrld_jax.meta.inner import policy_gradient_loss
 from emrld_jax.policy import Policy, gaussian_policy
 from emrld_jax.sampling.advantages import advantages
 from emrld_jax.sampling.rollouts import (
@@ -19,6 +20,7 @@ from emrld_jax.sampling.rollouts import (
     episode_successes,
     gather_living,
     living_steps,
+    without_idle_steps,
 )
 from emrld_jax.types import Gaussian, Rollout, Trajectory
 from envs_jax import Env
@@ -181,6 +183,30 @@ def test_sums_over_gathered_steps_are_sums_over_all() -> None:
     np.testing.assert_allclose(
         ours, jnp.sum(rollout.advantage * rollout.trajectory.mask), rtol=1e-5
     )
+
+
+def test_steps_of_advantage_zero_change_no_policy_gradient() -> None:
+    """Loss and gradient are those of all steps, whichever of them weigh nothing."""
+    policy, params = small_policy(POINT)
+    rollout = random_rollout((5, 2, 1, 4))
+    idle = np.arange(rollout.advantage.size).reshape(rollout.advantage.shape) % 3 == 0
+    rollout = rollout._replace(advantage=jnp.where(idle, 0.0, rollout.advantage))
+
+    def gradient(rollout: Rollout) -> Any:
+        return jax.value_and_grad(lambda p: policy_gradient_loss(policy, p, rollout))(params)
+
+    fewer = without_idle_steps(rollout)
+    assert 0 < jnp.sum(fewer.trajectory.mask) < jnp.sum(rollout.trajectory.mask)
+    pairs = zip(*(jax.tree.leaves(gradient(r)) for r in (fewer, rollout)), strict=True)
+    for ours, expected in pairs:
+        np.testing.assert_allclose(ours, expected, rtol=1e-4, atol=1e-6)
+
+
+def test_without_a_reward_no_step_stays() -> None:
+    rollout = random_rollout((5, 2))
+    nothing = without_idle_steps(rollout._replace(advantage=jnp.zeros_like(rollout.advantage)))
+    assert not nothing.trajectory.mask.any()
+    assert not nothing.advantage.any()
 
 
 def test_living_steps_of_a_batch_of_tasks() -> None:
