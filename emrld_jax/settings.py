@@ -61,10 +61,15 @@ def check(section: Any, prefix: str = "") -> None:
         value = getattr(section, item.name)
         for one in value if isinstance(value, list) else [value]:
             if one is not None and not _is_allowed(one, item.metadata):
-                allowed = allowed_values(item.metadata) or "a finite number"
+                words = (_finite(one), allowed_values(item.metadata))
+                allowed = ", ".join(filter(None, words))
                 raise ValueError(
                     f"{prefix}{item.name}={value} is not allowed: it must be {allowed}"
                 )
+
+
+def _finite(value: Any) -> str:
+    return "finite" if isinstance(value, float) and not math.isfinite(value) else ""
 
 
 def _is_allowed(value: Any, rule: Any) -> bool:

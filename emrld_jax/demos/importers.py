@@ -94,6 +94,8 @@ def import_file(path: str | Path, environment: str, quality: str, command: str =
 
 def _entries(path: Path, contents: Any) -> list[tuple[str, Mapping[str, Any]]]:
     """One labeled dictionary for each demonstration, whichever layout the file has."""
+    if isinstance(contents, dict) and "metadata" in contents:
+        raise DemoError(f"{path}: is a demonstration file already; use it as demos={path}")
     if isinstance(contents, dict) and any(name in contents for name in ALIASES["obs"]):
         return _unpack(path, contents)
     if isinstance(contents, dict):

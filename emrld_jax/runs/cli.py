@@ -125,8 +125,8 @@ def run_command(main: Callable[[], int]) -> NoReturn:
         print(f"error: {reason} ({advice})", file=sys.stderr)
         code = 1
     except KeyboardInterrupt:
-        print("interrupted; what was saved before is kept", file=sys.stderr)
-        code = 130
+        print("interrupted; what was saved before is kept", file=sys.stderr, flush=True)
+        os._exit(130)  # at once: an ordinary exit crashes while a compiled program goes on
     sys.exit(code)
 
 
@@ -153,7 +153,7 @@ def _parse_override(argument: str) -> Override:
         override = OverridesParser.create().parse_override(argument)
     except HydraException as error:
         raise ConfigError(
-            f"{argument!r} is not of the form setting=value, such as env=point2d "
+            f"{argument!r} is not of the form setting=value, without dashes or spaces "
             "(--help lists the settings)"
         ) from error
     if override.type is not OverrideType.CHANGE or override.package is not None:

@@ -152,8 +152,13 @@ def load_config(path: Path) -> TrainConfig:
     Raises:
         ConfigError: no such file, or not a whole configuration.
     """
+    if not path.parent.exists():
+        raise ConfigError(f"{path.parent}: there is no such run folder")
     if not path.is_file():
-        raise ConfigError(f"{path.parent} is not a run folder: it has no {path.name}")
+        raise ConfigError(
+            f"{path.parent} is not a run folder (such as runs/point2d/emrld-optimal/seed0): it has "
+            f"no {path.name}"
+        )
     try:
         values = _by_full_name(yaml.safe_load(path.read_text()))
         _check_names(path, values)
@@ -198,9 +203,10 @@ def _check_names(path: Path, values: Mapping[str, Any]) -> None:
         ("has unknown settings:", [name for name in values if name not in known]),
     ):
         if names_:
+            more = f" and {len(names_) - 5} more" if len(names_) > 5 else ""
             raise ConfigError(
-                f"{path} {problem} {', '.join(names_)}; it must have the settings of this version, "
-                "no more and no fewer"
+                f"{path} {problem} {', '.join(names_[:5])}{more}; it must have the settings of "
+                "this version, no more and no fewer"
             )
     for name in PATHS:
         if name in known and not isinstance(values[name], str | type(known[name])):

@@ -40,12 +40,18 @@ def evaluate_run(config: EvaluateConfig, console: Console) -> int:
     setup = set_up(replace(trained, adapt=config.adapt, demos=config.demos or trained.demos))
     demos: DemoSet = getattr(setup.demos, config.tasks)
     if not demos.demos.mask.shape[0]:
-        raise ConfigError(f"tasks={config.tasks}: {setup.demos_path} has no such demonstrations")
+        raise ConfigError(
+            f"tasks={config.tasks}: {setup.demos_path} has no demonstrations of "
+            f"{SPLITS[config.tasks]} tasks; tasks={_other(config.tasks)} takes the others"
+        )
     _tell_of_other_demonstrations(setup, folder, console)
     params, iteration = _newest(setup, folder, console)
     title = f"{trained.env.name}, {trained.algo}: {SPLITS[config.tasks]} tasks"
     title += ", mean action" * config.deterministic
-    tell(console, f"{title}: evaluating {folder.path} after {iteration} meta-iterations")
+    of_all = f"{iteration} of {trained.meta.iterations} meta-iterations"
+    tell(console, f"{title}: evaluating {folder.path} after {of_all}")
+    if config.adapt.num_steps > (steps := trained.adapt.num_steps):
+        tell(console, f"note: trained for adapt.num_steps={steps}; more steps may harm")
     evaluate = evaluator(
         setup.env,
         setup.learner,
@@ -92,6 +98,10 @@ def _newest(setup: Setup, folder: RunFolder, console: Console) -> tuple[Params, 
     if restored is None:
         raise ConfigError(f"{folder.path} has no checkpoint yet")
     return restored.state.params, restored.iteration
+
+
+def _other(tasks: str) -> str:
+    return next(split for split in SPLITS if split != tasks)
 
 
 def _name(config: EvaluateConfig) -> str:

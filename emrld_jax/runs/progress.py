@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-import math
+from collections import deque
+from statistics import median
 from typing import Self
 
 from rich.console import Console
@@ -10,13 +11,15 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, T
 
 from emrld_jax.runs.metrics import Record, last_stage
 
+RECENT = 15  # iterations that the time left is estimated from
+
 
 class ProgressView:
     """Shows iterations `start` to `end`."""
 
     def __init__(self, console: Console, start: int, end: int) -> None:
         self._console, self._end = console, end
-        self._fastest: float | None = None  # s an iteration
+        self._recent: deque[float] | None = None  # s an iteration
         columns = (
             TextColumn("iteration"),
             MofNCompleteColumn(),
@@ -37,11 +40,11 @@ class ProgressView:
 
     def _left(self, done: int, seconds: float) -> str:
         """The time left, in words; empty after the first iteration, which compiles."""
-        if self._fastest is None:
-            self._fastest = math.inf
+        if self._recent is None:
+            self._recent = deque(maxlen=RECENT)
             return ""
-        self._fastest = min(self._fastest, seconds)
-        left = (self._end - done) * self._fastest
+        self._recent.append(seconds)
+        left = (self._end - done) * median(self._recent)
         return f"  {_clock(left)} left"
 
     def __enter__(self) -> Self:

@@ -6,6 +6,7 @@ import hashlib
 import json
 import os
 import platform
+import shlex
 import subprocess
 import sys
 from datetime import UTC, datetime
@@ -25,7 +26,7 @@ def provenance(demos: Path) -> dict[str, Any]:
     """A record of this process, as JSON values."""
     return {
         "time": datetime.now(UTC).isoformat(timespec="seconds"),
-        "command": [Path(sys.argv[0]).name, *sys.argv[1:]],
+        "command": _command(),
         **software(),
         "machine": machine(),
         "demos": {"path": str(demos), "sha256": sha256(demos)},
@@ -79,6 +80,13 @@ def code_version() -> dict[str, Any]:
     if commit is None:
         return {"commit": "unknown", "dirty": None}
     return {"commit": commit, "dirty": bool(_git(package, "status", "--porcelain", "--", *CODE))}
+
+
+def _command() -> str:
+    """The command line of this process, as a shell takes it."""
+    module = sys.modules["__main__"].__spec__
+    start = ["python", "-m", module.name] if module else [sys.argv[0]]
+    return shlex.join([*start, *sys.argv[1:]])
 
 
 def sha256(path: Path) -> str:

@@ -76,6 +76,7 @@ def _finish(setup: Setup, folder: RunFolder, progressed: Progressed, console: Co
     try:
         report(setup, folder, progressed.state.params, streams(progressed.key)[2], console)
     except KeyboardInterrupt:
+        tell(console, "Stopped before the final table; all is saved.")
         tell(console, f"To go on: {folder.resume_command}")
         return 128 + signal.SIGINT
     return 0

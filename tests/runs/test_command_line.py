@@ -20,7 +20,7 @@ REFUSED = [
     ("env=pointd2d", ["env=pointd2d", "did you mean 'point2d'", "two_wheeled_drift"]),
     ("env.name=two_wheeled", ["env.name", "env=two_wheeled"]),
     ("algo=EMRLD", ["algo=EMRLD", "did you mean 'emrld'"]),
-    ("--env", ["such as env=point2d"]),
+    ("--env", ["'--env'", "without dashes"]),
     ("algo=emrl", ["algo=emrl", "did you mean 'emrld'", "maml"]),
     ("adapt.warm_start_rate=0.1", ["has no effect with algo=emrld", "it is for emrld_ws"]),
     ("experiment=papr", ["experiment=papr", "did you mean 'paper'"]),
@@ -45,7 +45,8 @@ REFUSED = [
     ("adapt.num_episodes=1000000", ["adapt.num_episodes=1000000", "at most 10000"]),
     ("runs=/proc/nope", ["runs=/proc/nope", "must be a folder"]),
     ("runs=/etc/passwd", ["runs=/etc/passwd", "must be a folder"]),
-    ("resume=/nowhere", ["/nowhere", "not a run folder"]),
+    ("resume=/nowhere", ["/nowhere", "no such run folder"]),
+    ("resume=/proc", ["/proc", "not a run folder"]),
 ]
 
 

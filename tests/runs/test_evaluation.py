@@ -152,7 +152,7 @@ def test_the_command_evaluates_a_run(command: Command, whole_run: tuple[Path, st
         ("episodes=0", "at least 1"),
         ("adapt.num_steps=0", "at least 1"),
         ("meta.max_kl=0.1", "there is no setting"),
-        ("run=/nowhere", "not a run folder"),
+        ("run=/nowhere", "no such run folder"),
     ],
 )
 def test_a_bad_argument_is_refused(
@@ -163,3 +163,16 @@ def test_a_bad_argument_is_refused(
     assert done.returncode == 2
     assert said in done.stderr
     assert "Traceback" not in done.stderr
+
+
+def test_the_example_of_the_documentation(
+    whole_run: tuple[Path, str], capsys: pytest.CaptureFixture[str]
+) -> None:
+    """It restores, adapts and prints a displacement that Point2D allows."""
+    page = Path(__file__).parents[2] / "docs" / "runs.md"
+    code = page.read_text().split("```python\n")[1].split("```")[0]
+    run = "runs/point2d/emrld-optimal/seed0"
+    assert run in code
+    exec(code.replace(run, str(whole_run[0])), {})
+    displacement = [float(x) for x in capsys.readouterr().out.strip(" []\n").split()]
+    assert 0 < np.linalg.norm(displacement) <= 0.1 + 1e-6
