@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from functools import partial
 from typing import Any, NamedTuple
 
 import jax
@@ -42,6 +41,22 @@ class Experience(NamedTuple):
 Sizes = Any  # an Experience with a number of steps in place of each Rollout
 
 
+class Programs(NamedTuple):
+    """The two programs of a meta-iteration, not compiled yet, so that they can be batched first.
+
+    The first collects all episodes, without gradients. The second re-adapts on them as a function
+    of the meta-parameters, which the optimizer improves. Between them the number of steps that
+    matter is read, so that the others can be left out: steps after an episode's end, and of those
+    that adaptation uses, steps without an advantage. (An inner loss must weigh each step's term by
+    its advantage.)
+    """
+
+    # (params, key, tasks [M], demos [M])
+    gather: Callable[[Params, jax.Array, Task, Demos], tuple[Experience, Metrics]]
+    # (state, experience, demos [M], sizes), where sizes are static
+    improve: Callable[[MetaState, Experience, Demos, Sizes], tuple[MetaState, Metrics]]
+
+
 class MetaLearner(NamedTuple):
     """A meta-RL algorithm as functions."""
 
@@ -51,6 +66,8 @@ class MetaLearner(NamedTuple):
     adapt: Callable[[Params, jax.Array, Task, Demos, Collect], Adapted]
     # (state, key, tasks [M], demos [M]): one meta-iteration
     update: Callable[[MetaState, jax.Array, Task, Demos], tuple[MetaState, Metrics]]
+    # (states [K], keys [K], tasks [M], demos [M]): one meta-iteration of each of K learners
+    update_all: Callable[[MetaState, jax.Array, Task, Demos], tuple[MetaState, Metrics]]
 
 
 # (policies, experience, demos [M]) -> objective, where policies(params) are the adapted policies at
@@ -69,35 +86,32 @@ def meta_learner(
     """Assembles a meta-learner.
 
     The optimizer's curvature is computed on each `curvature_every`-th of the steps that exist.
-
-    A meta-iteration is two compiled programs. The first collects all episodes, without gradients.
-    The second re-adapts on them as a function of the meta-parameters, which the optimizer improves.
-    Between them the number of steps that matter is read, so that the others can be left out: steps
-    after an episode's end, and of those that adaptation uses, steps without an advantage. (An inner
-    loss must weigh each step's term by its advantage.)
     """
-    adapt_one = partial(adapt, policy, inner_steps)
 
     def init(key: jax.Array) -> MetaState:
         params = policy.init(key)
         return MetaState(params, optimizer.init(params))
 
+    def adapt_one(
+        params: Params, key: jax.Array, task: Task, demos: Demos, collect: Collect
+    ) -> Adapted:
+        return adapt(policy, inner_steps, collect, params, key, task, demos)
+
     def gather_one(params: Params, key: jax.Array, task: Task, demos: Demos) -> Experience:
         adapt_key, outer_key = jax.random.split(key)
-        adapted = adapt_one(collect, params, adapt_key, task, demos)
+        adapted = adapt_one(params, adapt_key, task, demos, collect)
         return Experience(adapted.rollouts, collect(adapted.params, outer_key, task))
 
-    @jax.jit
     def gather(
-        params: Params, keys: jax.Array, tasks: Task, demos: Demos
+        params: Params, key: jax.Array, tasks: Task, demos: Demos
     ) -> tuple[Experience, Metrics]:
+        keys = jax.random.split(key, demos.mask.shape[0])
         experience = jax.vmap(gather_one, in_axes=(None, 0, 0, 0))(params, keys, tasks, demos)
         metrics = _episode_metrics(experience)
         # adaptation weighs steps by their advantage, the trust region does not
         inner = jax.tree.map(jax.vmap(without_idle_steps), experience.inner, is_leaf=_is_rollout)
         return experience._replace(inner=inner), metrics
 
-    @partial(jax.jit, static_argnames="sizes")
     def improve(
         state: MetaState, experience: Experience, demos: Demos, sizes: Sizes
     ) -> tuple[MetaState, Metrics]:
@@ -111,26 +125,46 @@ def meta_learner(
         )
         return MetaState(params, opt_state), metrics
 
+    programs = Programs(gather, improve)
+    return MetaLearner(
+        policy, init, adapt_one, compiled(programs), compiled(over_learners(programs))
+    )
+
+
+def over_learners(programs: Programs) -> Programs:
+    """The same for K learners on the same tasks; a leading [K] of states, keys and experience."""
+
+    def improve(
+        states: MetaState, experience: Experience, demos: Demos, sizes: Sizes
+    ) -> tuple[MetaState, Metrics]:
+        def one(state: MetaState, own: Experience) -> tuple[MetaState, Metrics]:
+            return programs.improve(state, own, demos, sizes)
+
+        return jax.vmap(one)(states, experience)
+
+    return Programs(jax.vmap(programs.gather, in_axes=(0, 0, None, None)), improve)
+
+
+def compiled(
+    programs: Programs,
+) -> Callable[[MetaState, jax.Array, Task, Demos], tuple[MetaState, Metrics]]:
+    """A meta-iteration of compiled programs."""
+    gather, improve = jax.jit(programs.gather), jax.jit(programs.improve, static_argnums=3)
+
     def update(
         state: MetaState, key: jax.Array, tasks: Task, demos: Demos
     ) -> tuple[MetaState, Metrics]:
-        keys = jax.random.split(key, demos.mask.shape[0])
-        experience, metrics = gather(state.params, keys, tasks, demos)
+        experience, metrics = gather(state.params, key, tasks, demos)
         sizes = jax.tree.map(bucket, experience, is_leaf=_is_rollout)
         state, outer = improve(state, experience, demos, sizes)
         return state, {**metrics, **outer}
 
-    return MetaLearner(
-        policy,
-        init,
-        lambda params, key, task, demos, collect: adapt_one(collect, params, key, task, demos),
-        update,
-    )
+    return update
 
 
 def bucket(rollouts: Rollout) -> int:
-    """The smallest of the BUCKETS that holds every task's living steps; rollouts [M, E, T]."""
-    _, episodes, horizon = rollouts.advantage.shape
+    """The smallest of the BUCKETS that holds every task's living steps; rollouts [.., E, T]."""
+    episodes, horizon = rollouts.advantage.shape[-2:]
     needed = int(jnp.max(living_steps(rollouts)))
     return next(size for part in BUCKETS if (size := int(part * episodes * horizon)) >= needed)
 

@@ -140,6 +140,19 @@ def test_the_same_key_gives_the_same_update_and_another_one_another(name: str) -
 
 
 @ALL
+def test_learners_side_by_side_do_what_each_does_alone(name: str) -> None:
+    meta, keys = learner(name), jax.random.split(KEY, 2)
+    states = [jax.tree.map(jnp.float64, meta.init(jax.random.key(seed))) for seed in range(2)]
+    together, metrics = meta.update_all(stacked(states), keys, NEAR, DEMOS)
+    for k, state in enumerate(states):
+        own, own_metrics = meta.update(state, keys[k], NEAR, DEMOS)
+        assert differ(own.params, state.params)
+        assert_close(
+            jax.tree.map(lambda x, k=k: x[k], (together.params, metrics)), (own.params, own_metrics)
+        )
+
+
+@ALL
 def test_a_second_update_compiles_nothing(name: str, caplog: pytest.LogCaptureFixture) -> None:
     update, state = learner(name).update, start(name)
     caplog.set_level(logging.WARNING, "jax")
