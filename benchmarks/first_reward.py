@@ -17,9 +17,9 @@ from benchmarks.records import write_record
 from emrld_jax.demos.shipped import QUALITIES
 from emrld_jax.runs.cli import train_config
 from emrld_jax.runs.evaluation import evaluator
+from emrld_jax.runs.iteration import streams
 from emrld_jax.runs.provenance import machine, software
 from emrld_jax.runs.setup import set_up
-from emrld_jax.runs.training import streams
 from envs_jax import names
 
 STARTS = tuple(

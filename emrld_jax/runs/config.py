@@ -56,6 +56,12 @@ class TrainConfig:
         "optimal", "optimal or suboptimal (shipped demonstrations), or the path of a .npz file"
     )
     seed: int = setting(0, "seed of all random numbers", at_least=0, at_most=10**9)
+    num_seeds: int = setting(
+        1,
+        "seeds trained side by side in one program, from seed on; each is a run of its own",
+        at_least=1,
+        at_most=4096,
+    )
     w_rl: float | None = setting(
         None,
         f"weight of the policy gradient in the inner loss; null: {W_RL_OPTIMAL:g}, and "

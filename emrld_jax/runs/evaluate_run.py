@@ -15,12 +15,12 @@ from emrld_jax.runs.config import ConfigError, EvaluateConfig, load_config, save
 from emrld_jax.runs.evaluation import evaluator, summarize
 from emrld_jax.runs.files import write_json
 from emrld_jax.runs.folder import RunFolder, new_folder
+from emrld_jax.runs.iteration import initial
 from emrld_jax.runs.pictures import adaptation_curve, is_planar, trajectories
 from emrld_jax.runs.progress import tell
 from emrld_jax.runs.provenance import provenance, read_provenance, sha256
 from emrld_jax.runs.report import SPLITS, before_and_after, with_interval
 from emrld_jax.runs.setup import Setup, set_up
-from emrld_jax.runs.training import initial
 from emrld_jax.types import Params
 
 STREAM = 0x6576616C  # tells the keys of evaluations from those of training with the same seed

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from collections import deque
-from statistics import median
+from collections.abc import Sequence
+from statistics import fmean, median
 from typing import Self
 
 from rich.console import Console
@@ -62,12 +63,18 @@ def tell(console: Console, text: str) -> None:
     console.print(text, soft_wrap=True, highlight=False, markup=False)
 
 
-def figures(record: Record) -> str:
-    """What matters most of an iteration, in a few words."""
-    last = last_stage(record)
+def figures(records: Sequence[Record]) -> str:
+    """What matters most of an iteration, in a few words: means over runs."""
+    last = last_stage(records[0])
+
+    def mean(name: str) -> float:
+        return fmean(record[name] for record in records)
+
     return (
-        f"return {record['adapt/return_0']:.1f} -> {record[f'adapt/return_{last}']:.1f}  "
-        f"success {record[f'adapt/success_{last}']:.0%}  KL {record['outer/kl']:.4f}"
+        f"return {mean('adapt/return_0'):.1f} -> {mean(f'adapt/return_{last}'):.1f}  "
+        f"success {mean(f'adapt/success_{last}'):.0%}  KL {mean('outer/kl'):.4f}"
+        + f"  (mean of {len(records)} seeds)"
+        * (len(records) > 1)
     )
 
 

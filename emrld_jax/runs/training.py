@@ -1,16 +1,15 @@
-"""A training run: set-up, the loop, and how it stops, fails, ends or goes on."""
+"""Training runs: set-up, the loop, and how they stop, fail, end or go on."""
 
 from __future__ import annotations
 
-import math
 import signal
 import time
+from collections.abc import Sequence
+from contextlib import ExitStack
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
+from typing import NamedTuple
 
-import jax
-import jax.numpy as jnp
 from rich.console import Console
 
 from emrld_jax.demos import DemoError, check_tasks
@@ -18,28 +17,26 @@ from emrld_jax.runs.checkpoints import Checkpoints, Progressed
 from emrld_jax.runs.config import ConfigError, TrainConfig, save_config
 from emrld_jax.runs.files import write_json
 from emrld_jax.runs.folder import RunFolder, new_run_folder
-from emrld_jax.runs.metrics import MetricsLog, Record, read_metrics
+from emrld_jax.runs.iteration import DivergenceError, initial, iterate, streams
+from emrld_jax.runs.metrics import read_metrics
 from emrld_jax.runs.progress import ProgressView, figures, tell
 from emrld_jax.runs.provenance import provenance, read_provenance
+from emrld_jax.runs.recording import Recording
 from emrld_jax.runs.report import report
 from emrld_jax.runs.setup import Setup, set_up
 from emrld_jax.runs.signals import StopSignals
 
-PATIENCE = 5  # iterations without a meta-gradient before the user is told
-NO_REWARD = (
-    f"note: no reward after adaptation in {PATIENCE} iterations, so there is no meta-gradient and "
-    "nothing is learned. Another seed may find the first one; so may other demonstrations, or what "
-    "lets them move the first policy more: a larger adapt.learning_rate or policy.output_scale, a "
-    "smaller policy.std. docs/tuning.md tells what helped where."
-)
 
+class Run(NamedTuple):
+    """A run that goes on: what it works with, where it writes, how far it is."""
 
-class DivergenceError(RuntimeError):
-    """Training made a number that is not finite."""
+    setup: Setup
+    folder: RunFolder
+    progressed: Progressed
 
 
 def train(config: TrainConfig, console: Console) -> int:
-    """Trains as configured, or continues a run.
+    """Trains as configured, each seed as a run of its own, or continues a run.
 
     Returns:
         The exit code: 0, 1 if training diverged, or that of the signal that stopped it.
@@ -47,69 +44,60 @@ def train(config: TrainConfig, console: Console) -> int:
     Raises:
         ConfigError, DemoError: the configuration or its demonstrations are refused.
     """
-    setup = set_up(config)
-    folder = _folder(setup, console)
-    with folder.locked():
+    setups = _of_seeds(set_up(config))
+    folders = [_folder(setup, console) for setup in setups]
+    begin = _start if config.resume is None else _continue
+    with ExitStack() as locks:
+        for folder in folders:
+            locks.enter_context(folder.locked())
         with StopSignals() as stop:
-            begin = _start if config.resume is None else _continue
-            progressed = begin(setup, folder, console)
-            if folder.finished:
-                tell(console, f"{folder.path} is finished: {progressed.iteration} meta-iterations.")
-                tell(console, f"To go on: {folder.resume_command} meta.iterations=MORE")
-                tell(console, f"To evaluate: python -m emrld_jax.evaluate run={folder.path}")
+            pairs = zip(setups, folders, strict=True)
+            runs = [Run(setup, folder, begin(setup, folder, console)) for setup, folder in pairs]
+            if folders[0].finished:  # a run that is resumed; new ones are not
+                _tell_finished(runs[0], console)
                 return 0
             try:
-                progressed = _loop(setup, folder, progressed, stop, console)
+                runs = _loop(runs, stop, console)
             except DivergenceError as error:
                 tell(Console(stderr=True), f"error: {error}")
                 return 1
         if stop.received is not None:
-            tell(console, f"Stopped after iteration {progressed.iteration}; all is saved.")
-            tell(console, f"To go on: {folder.resume_command}")
+            tell(console, f"Stopped after iteration {runs[0].progressed.iteration}; all is saved.")
+            _tell_how_to_go_on(runs, console)
             return stop.exit_code
-        return _finish(setup, folder, progressed, console)
+        return _finish(runs, console)
 
 
-def _finish(setup: Setup, folder: RunFolder, progressed: Progressed, console: Console) -> int:
-    """Evaluates, draws and writes results.json. A signal ends it; the run can then be resumed."""
+def _of_seeds(setup: Setup) -> list[Setup]:
+    """A set-up for each seed; from its folder, such a run looks as if it was the only one."""
+    config = setup.config
+    seeds = range(config.seed, config.seed + config.num_seeds)
+    return [setup._replace(config=replace(config, seed=seed, num_seeds=1)) for seed in seeds]
+
+
+def _finish(runs: Sequence[Run], console: Console) -> int:
+    """Evaluates, draws and writes results.json. A signal ends it; runs can then be resumed."""
     tell(console, "evaluating and drawing (all is saved)")
     try:
-        report(setup, folder, progressed.state.params, streams(progressed.key)[2], console)
+        for setup, folder, progressed in runs:
+            report(setup, folder, progressed.state.params, streams(progressed.key)[2], console)
     except KeyboardInterrupt:
         tell(console, "Stopped before the final table; all is saved.")
-        tell(console, f"To go on: {folder.resume_command}")
+        _tell_how_to_go_on([run for run in runs if not run.folder.finished], console)
         return 128 + signal.SIGINT
     return 0
 
 
-def streams(key_data: jax.Array) -> tuple[jax.Array, jax.Array, jax.Array]:
-    """A run's keys: of the first parameters, the iterations (folded in), the final evaluation."""
-    init_key, loop_key, evaluation_key = jax.random.split(jax.random.wrap_key_data(key_data), 3)
-    return init_key, loop_key, evaluation_key
+def _tell_finished(run: Run, console: Console) -> None:
+    folder = run.folder
+    tell(console, f"{folder.path} is finished: {run.progressed.iteration} meta-iterations.")
+    tell(console, f"To go on: {folder.resume_command} meta.iterations=MORE")
+    tell(console, f"To evaluate: python -m emrld_jax.evaluate run={folder.path}")
 
 
-def initial(setup: Setup) -> Progressed:
-    """A run before its first iteration."""
-    key_data = jax.random.key_data(jax.random.key(setup.config.seed))
-    return Progressed(setup.learner.init(streams(key_data)[0]), key_data, 0, 0)
-
-
-def iterate(setup: Setup, progressed: Progressed) -> tuple[Progressed, dict[str, float]]:
-    """One meta-iteration; a function of its arguments alone, so that a resumed run is the same run.
-
-    Raises:
-        DivergenceError: a metric or a parameter is not finite.
-    """
-    state, key_data, i, env_steps = progressed
-    key = jax.random.fold_in(streams(key_data)[1], i)
-    tasks, demos = setup.demos.train.tasks, setup.demos.train.demos
-    state, arrays = setup.learner.update(state, key, tasks, demos)
-    metrics = {name: float(value) for name, value in jax.device_get(arrays).items()}
-    _check_finite(i, metrics, state.params)
-    episodes = demos.mask.shape[0] * setup.config.adapt.num_episodes
-    lengths = (value for name, value in metrics.items() if name.startswith("adapt/length_"))
-    env_steps += sum(round(length * episodes) for length in lengths)
-    return Progressed(state, key_data, i + 1, env_steps), metrics
+def _tell_how_to_go_on(runs: Sequence[Run], console: Console) -> None:
+    for run in runs:
+        tell(console, f"To go on: {run.folder.resume_command}")
 
 
 def _folder(setup: Setup, console: Console) -> RunFolder:
@@ -179,50 +167,29 @@ def _restored(setup: Setup, folder: RunFolder, console: Console) -> Progressed:
     return progressed
 
 
-def _loop(
-    setup: Setup, folder: RunFolder, progressed: Progressed, stop: StopSignals, console: Console
-) -> Progressed:
-    """Iterates until the last iteration or a signal; the state that it returns is saved."""
-    config, start = setup.config, progressed.iteration
-    with (
-        Checkpoints(folder.checkpoints) as checkpoints,
-        MetricsLog(folder.metrics, folder.tensorboard, start) as log,
-        ProgressView(console, start, config.meta.iterations) as view,
-    ):
-        checkpoints.save(progressed)  # so that iterations never are without a checkpoint
-        unrewarded = 0  # iterations in a row
-        try:
-            while progressed.iteration < config.meta.iterations and stop.received is None:
-                began = time.perf_counter()
-                progressed, metrics = iterate(setup, progressed)
-                record = _record(progressed, metrics, time.perf_counter() - began)
-                log.write(record)
-                view.show(progressed.iteration, figures(record), record["time/iteration_s"])
-                unrewarded = 0 if record["outer/gradient_norm"] else unrewarded + 1
-                if unrewarded == PATIENCE:
-                    tell(console, NO_REWARD)
-                if progressed.iteration % config.checkpoint_every == 0:
-                    checkpoints.save(progressed)
-        finally:  # also where it diverged: `progressed` is then the last good state
-            checkpoints.save(progressed)
-    return progressed
+def _loop(runs: list[Run], stop: StopSignals, console: Console) -> list[Run]:
+    """Iterates until the last iteration or a signal; where the runs then stand is saved."""
+    end, start = runs[0].setup.config.meta.iterations, runs[0].progressed.iteration
+    with ExitStack() as stack:
+        view = stack.enter_context(ProgressView(console, start, end))
+        recordings = [stack.enter_context(_recording(run, console)) for run in runs]
+        done = start
+        while done < end and stop.received is None:
+            began = time.perf_counter()
+            results = iterate(runs[0].setup, [run.progressed for run in runs])
+            seconds = time.perf_counter() - began
+            runs = [
+                run._replace(progressed=progressed)
+                for run, (progressed, _) in zip(runs, results, strict=True)
+            ]
+            records = [
+                recording.add(*result, seconds)
+                for recording, result in zip(recordings, results, strict=True)
+            ]
+            done += 1
+            view.show(done, figures(records), seconds)
+    return runs
 
 
-def _record(progressed: Progressed, metrics: dict[str, float], seconds: float) -> Record:
-    return {
-        "iteration": progressed.iteration - 1,
-        **metrics,
-        "sampling/env_steps": progressed.env_steps,
-        "time/iteration_s": seconds,
-    }
-
-
-def _check_finite(i: int, metrics: dict[str, float], params: Any) -> None:
-    wrong = [name for name, value in metrics.items() if not math.isfinite(value)]
-    if not all(bool(jnp.isfinite(leaf).all()) for leaf in jax.tree.leaves(params)):
-        wrong.append("a parameter")
-    if wrong:
-        raise DivergenceError(
-            f"iteration {i + 1} made {', '.join(wrong)} infinite or NaN; the state before it is "
-            "saved. A smaller adapt.learning_rate or meta.max_kl may help, in a new run."
-        )
+def _recording(run: Run, console: Console) -> Recording:
+    return Recording(run.folder, run.progressed, run.setup.config.checkpoint_every, console)

@@ -14,7 +14,7 @@ from emrld_jax import algorithms
 from emrld_jax.demos import load
 from emrld_jax.runs.evaluate_run import evaluation_key
 from emrld_jax.runs.evaluation import Evaluation, bootstrap_interval, evaluator, summarize
-from emrld_jax.runs.training import streams
+from emrld_jax.runs.iteration import streams
 from emrld_jax.sampling.rollouts import collector
 from emrld_jax.settings import AdaptSettings, PolicySettings, Settings
 from envs_jax import make

@@ -291,3 +291,28 @@ def test_a_run_that_sees_no_reward_says_so_once(
     assert done.stdout.count("no reward after adaptation in 5 iterations") == 1
     records = read_metrics(tmp_path / "point2d" / "emrld-lines" / "seed0" / "metrics.jsonl")
     assert [record["outer/gradient_norm"] for record in records] == [0.0] * 7
+
+
+def test_seeds_side_by_side_are_runs_of_their_own(
+    command: Command, demos: Path, tmp_path: Path, whole_run: WholeRun
+) -> None:
+    """Seed 0 is what it is alone, up to rounding; seed 1 is another, and can go on alone."""
+    arguments = ("env=point2d", f"demos={demos}", f"runs={tmp_path}", *TINY)
+    done = command("train", *arguments, "num_seeds=2")
+    assert done.returncode == 0, done.stderr
+    folders = [tmp_path / "point2d" / "emrld-lines" / f"seed{seed}" for seed in range(2)]
+    for seed, folder in enumerate(folders):
+        config = yaml.safe_load((folder / "config.yaml").read_text())
+        assert (config["seed"], config["num_seeds"]) == (seed, 1)
+    together, other, alone = (
+        read_metrics(folder / "metrics.jsonl") for folder in (*folders, whole_run[0])
+    )
+    for ours, expected in zip(together, alone, strict=True):
+        # conjugate gradient magnifies rounding, by the second iteration to some thousandths
+        rtol = 1e-5 if ours["iteration"] == 0 else 1e-2
+        for name in ("adapt/return_0", "adapt/return_1"):
+            np.testing.assert_allclose(ours[name], expected[name], rtol=rtol)
+    assert [record["adapt/return_0"] for record in other] != [r["adapt/return_0"] for r in together]
+    done = command("train", f"resume={folders[1]}", "meta.iterations=4")
+    assert done.returncode == 0, done.stderr
+    assert len(read_metrics(folders[1] / "metrics.jsonl")) == 4
