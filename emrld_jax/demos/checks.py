@@ -114,8 +114,8 @@ def _check_actions(where: str, part: Arrays, env: Env) -> None:
     executed = jax.vmap(lambda a: env.to_policy(env.to_physical(a)))(actions[exists])
     error = np.zeros(actions.shape, np.float32)
     error[exists] = np.abs(np.asarray(executed) - actions[exists])
-    row, step, _ = np.unravel_index(int(error.argmax()), error.shape)
-    if error.max() > TOLERANCE:
+    row, step, _ = np.unravel_index(int(np.argmax(error)), error.shape)
+    if np.max(error) > TOLERANCE:
         raise DemoError(
             f"{where}/action[{row}, {step}] is {actions[row, step]}, which {env.name} would bound; "
             "actions must be in policy units, within the environment's bounds (if these are "

@@ -148,7 +148,7 @@ def check_tasks(
                 )
             wrong = np.abs(want - have).reshape(len(want), -1).max(axis=1) > tolerance
             if wrong.any():
-                row = int(wrong.argmax())
+                row = int(np.argmax(wrong))
                 raise DemoError(
                     f"{split}/{name}[{row}] is {have[row]}, but {env.name}'s {split} task is "
                     f"{want[row]}"

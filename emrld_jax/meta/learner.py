@@ -68,6 +68,7 @@ class MetaLearner(NamedTuple):
     update: Callable[[MetaState, jax.Array, Task, Demos], tuple[MetaState, Metrics]]
     # (states [K], keys [K], tasks [M], demos [M]): one meta-iteration of each of K learners
     update_all: Callable[[MetaState, jax.Array, Task, Demos], tuple[MetaState, Metrics]]
+    programs: Programs  # what `update` is made of
 
 
 # (policies, experience, demos [M]) -> objective, where policies(params) are the adapted policies at
@@ -127,7 +128,7 @@ def meta_learner(
 
     programs = Programs(gather, improve)
     return MetaLearner(
-        policy, init, adapt_one, compiled(programs), compiled(over_learners(programs))
+        policy, init, adapt_one, compiled(programs), compiled(over_learners(programs)), programs
     )
 
 
@@ -155,11 +156,15 @@ def compiled(
         state: MetaState, key: jax.Array, tasks: Task, demos: Demos
     ) -> tuple[MetaState, Metrics]:
         experience, metrics = gather(state.params, key, tasks, demos)
-        sizes = jax.tree.map(bucket, experience, is_leaf=_is_rollout)
-        state, outer = improve(state, experience, demos, sizes)
+        state, outer = improve(state, experience, demos, bucket_sizes(experience))
         return state, {**metrics, **outer}
 
     return update
+
+
+def bucket_sizes(experience: Experience) -> Sizes:
+    """How many steps a task of each rollout are gathered into."""
+    return jax.tree.map(bucket, experience, is_leaf=_is_rollout)
 
 
 def bucket(rollouts: Rollout) -> int:

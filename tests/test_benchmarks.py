@@ -1,0 +1,74 @@
+"""The benchmarks' arithmetic: counted operations, summaries of runs, ratios."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from benchmarks import ablation, compare, targets
+from benchmarks.flops import matrix_flops
+from benchmarks.jobs import Job
+
+
+def test_products_are_counted_wherever_they_are() -> None:
+    """[3, 4] @ [4, 5] is 120 operations; a scan does it 7 times, a loop as often as we say."""
+    a, b = jnp.ones((3, 4)), jnp.ones((4, 5))
+    assert matrix_flops(jnp.matmul, a, b) == 120
+    batched = jax.vmap(jnp.matmul, in_axes=(0, None))
+    assert matrix_flops(jax.jit(batched), jnp.ones((6, 3, 4)), b) == 6 * 120
+    square = jnp.ones((4, 4))  # 128 operations
+
+    def scanned(x: jax.Array) -> jax.Array:
+        return jax.lax.scan(lambda y, _: (y @ square, None), x, length=7)[0]
+
+    def looped(x: jax.Array) -> jax.Array:
+        return jax.lax.while_loop(lambda y: jnp.sum(y) < 9, lambda y: y @ square, x)
+
+    assert matrix_flops(scanned, square) == 7 * 128
+    assert matrix_flops(looped, square, trips=(3,)) == 3 * 128
+    with pytest.raises(ValueError, match="1 trip counts too many"):
+        matrix_flops(jnp.matmul, a, b, trips=(3,))
+
+
+def finished_run(runs: Path, seed: int, returns: list[float]) -> Job:
+    """A run as `summarize` reads it: two tasks, of which one has this return after adaptation."""
+    job = Job(runs, "two_wheeled_drift", "optimal", "emrld", seed)
+    job.folder.mkdir(parents=True)
+    after = {"return": np.mean(returns), "success": 0.75, "success_per_task": [1.0, 0.5]}
+    split = {"stages": [{}, after], "demonstrations": {"return": 80.0}}
+    (job.folder / "results.json").write_text(json.dumps({"train": split, "test": split}))
+    records = [
+        {"iteration": i, "adapt/return_0": 0.0, "adapt/return_1": float(i), "time/iteration_s": 2.0}
+        for i in range(100)
+    ]
+    (job.folder / "metrics.jsonl").write_text("".join(json.dumps(r) + "\n" for r in records))
+    return job
+
+
+def test_a_row_of_the_table_of_targets(tmp_path: Path) -> None:
+    jobs = [finished_run(tmp_path, seed, [10.0 * seed, 20.0]) for seed in (1, 2)]
+    row = targets.summarize(jobs)
+    assert row["return"] == row["held_out_return"] == [15.0, 20.0]
+    assert row["tasks_solved"] == [0.5, 0.5]  # the second task succeeds in half of its episodes
+    assert row["robot_experiment_success"] == [0.5, 0.5]
+    assert (row["iterations"], row["training_s"]) == (100, 200.0)
+    text = targets.table([row])
+    assert "| 17.5 (15.0 to 20.0) | 75% | 50% |" in text
+    assert text.endswith("-0.65 rad a step: emrld 50% (optimal).")
+
+
+def test_a_row_of_the_ablation(tmp_path: Path) -> None:
+    row = ablation.summarize("defaults", [finished_run(tmp_path, 0, [30.0])])
+    assert row["return_at"][20] == [17.0]  # the mean of 15, .. 19
+    assert (row["final"], row["s_per_iteration"]) == ([30.0], 2.0)
+
+
+def test_a_comparison_shows_ratios_of_what_both_have() -> None:
+    a = {"rows": [{"what": "x", "unit": "ms", "values": [2.0, 4.0, 3.0]}]}
+    b = {"rows": [{"what": "x", "unit": "ms", "values": [6.0]}, {"what": "y", "values": [1]}]}
+    assert compare.table(a, b).splitlines()[2:] == ["| x | 3 | 6 | 2.00 | ms |"]
