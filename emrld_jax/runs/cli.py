@@ -126,6 +126,7 @@ def run_command(main: Callable[[], int]) -> NoReturn:
         code = 1
     except KeyboardInterrupt:
         print("interrupted; what was saved before is kept", file=sys.stderr, flush=True)
+        sys.stdout.flush()
         os._exit(130)  # at once: an ordinary exit crashes while a compiled program goes on
     sys.exit(code)
 
