@@ -84,7 +84,11 @@ def evaluation_key(seed: int) -> jax.Array:
 
 
 def _tell_of_other_demonstrations(setup: Setup, folder: RunFolder, console: Console) -> None:
-    trained_on = read_provenance(folder.provenance)["demos"]["sha256"]
+    try:
+        trained_on = read_provenance(folder.provenance)["demos"]["sha256"]
+    except ConfigError as error:  # an evaluation does not need it
+        tell(console, f"note: {error}")
+        return
     if sha256(setup.demos_path) != trained_on:
         tell(console, f"note: {setup.demos_path} is not the file that the run was trained on")
 

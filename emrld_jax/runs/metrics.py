@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 from pathlib import Path
 from typing import Any, Self
 
@@ -28,6 +29,10 @@ class MetricsLog:
         for name, value in record.items():
             if "/" in name:
                 self._events.add_scalar(name, value, record["iteration"])
+
+    def sync(self) -> None:
+        """Has the system put on disk what was written, before a checkpoint that needs it."""
+        os.fsync(self._file.fileno())
 
     def __enter__(self) -> Self:
         return self

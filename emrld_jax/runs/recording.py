@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from contextlib import ExitStack
 from types import TracebackType
 from typing import Self
 
@@ -44,14 +45,20 @@ class Recording:
         if self._unrewarded == PATIENCE:
             tell(self._console, f"{self._folder.path}: {NO_REWARD}")
         if progressed.iteration % self._every == 0:
-            self._checkpoints.save(progressed)
+            self._save()
         return record
+
+    def _save(self) -> None:
+        self._log.sync()  # a run whose metrics are behind its checkpoint could not be resumed
+        self._checkpoints.save(self._last)
 
     def __enter__(self) -> Self:
         folder, start = self._folder, self._last.iteration
-        self._checkpoints = Checkpoints(folder.checkpoints)
-        self._checkpoints.save(self._last)  # so that iterations never are without a checkpoint
-        self._log = MetricsLog(folder.metrics, folder.tensorboard, start)
+        with ExitStack() as stack:
+            self._checkpoints = stack.enter_context(Checkpoints(folder.checkpoints))
+            self._checkpoints.save(self._last)  # so that iterations never are without a checkpoint
+            self._log = stack.enter_context(MetricsLog(folder.metrics, folder.tensorboard, start))
+            self._open = stack.pop_all()
         return self
 
     def __exit__(
@@ -60,6 +67,5 @@ class Recording:
         error: BaseException | None,
         traceback: TracebackType | None,
     ) -> None:
-        self._log.__exit__(kind, error, traceback)
-        self._checkpoints.save(self._last)
-        self._checkpoints.__exit__(kind, error, traceback)
+        with self._open:
+            self._save()

@@ -60,6 +60,8 @@ def train(config: TrainConfig, console: Console) -> int:
                 runs = _loop(runs, stop, console)
             except DivergenceError as error:
                 tell(Console(stderr=True), f"error: {error}")
+                if len(runs) > 1:  # the others may go on alone
+                    _tell_how_to_go_on(runs, console)
                 return 1
         if stop.received is not None:
             tell(console, f"Stopped after iteration {runs[0].progressed.iteration}; all is saved.")
