@@ -37,7 +37,8 @@ class ProgressView:
         if self._console.is_terminal:
             self._bar.update(self._task, completed=done, figures=figures)
             return
-        self._console.print(f"iteration {done}/{self._end}  {figures}{self._left(done, seconds)}")
+        line = f"iteration {done}/{self._end}  {figures}{self._left(done, seconds)}"
+        tell(self._console, line)
 
     def _left(self, done: int, seconds: float) -> str:
         """The time left, in words; empty after the first iteration, which compiles."""
