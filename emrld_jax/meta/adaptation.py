@@ -5,7 +5,9 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import jax
+import jax.numpy as jnp
 
+from emrld_jax.meta.batching import one_at_a_time
 from emrld_jax.meta.inner import InnerStep
 from emrld_jax.policy import Policy
 from emrld_jax.types import Collect, Demos, Params, Rollout, Task
@@ -48,9 +50,29 @@ def adapt(
     path, rollouts = [params], []
     for step, step_key in zip(steps, jax.random.split(key, len(steps)), strict=True):
         rollout = collect(path[-1], step_key, task) if step.on_policy else None
-        path.append(descend(policy, step, path[-1], rollout, demos))
+        path.append(_descend_once(policy, step, path[-1], rollout, demos))
         rollouts.append(rollout)
     return Adapted(path[-1], tuple(path), tuple(rollouts))
+
+
+def _descend_once(
+    policy: Policy, step: InnerStep, params: Params, rollout: Rollout | None, demos: Demos
+) -> Params:
+    """`descend` where nobody differentiates it; episodes without any advantage cost nothing."""
+
+    @one_at_a_time
+    def descended(params: Params, rollout: Rollout | None, demos: Demos) -> Params:
+        if rollout is None:
+            return descend(policy, step, params, None, demos)
+        # the loss weighs each step by its advantage: where all are 0, no steps are as good
+        nothing = jax.tree.map(lambda x: x[:0], rollout)
+        return jax.lax.cond(
+            jnp.any(rollout.advantage != 0),
+            lambda: descend(policy, step, params, rollout, demos),
+            lambda: descend(policy, step, params, nothing, demos),
+        )
+
+    return descended(params, rollout, demos)
 
 
 def readapt(

@@ -9,6 +9,7 @@ import jax
 import jax.numpy as jnp
 
 from emrld_jax.meta.adaptation import Adapted, InnerSteps, Rollouts, adapt, readapt
+from emrld_jax.meta.batching import map_tasks
 from emrld_jax.meta.outer import Metrics, Objective, OuterOptimizer
 from emrld_jax.policy import Policy
 from emrld_jax.sampling.rollouts import (
@@ -192,13 +193,12 @@ def _adapted_policies(
 ) -> Callable[[Params], Gaussian]:
     """The adapted policies at the outer episodes' observations, of the meta-parameters."""
 
-    def of_task(params: Params, inner: Rollouts, outer: Rollout, demos: Demos) -> Gaussian:
-        adapted = readapt(policy, inner_steps, params, inner, demos)
-        return policy.apply(adapted, outer.trajectory.obs)
-
     def policies(params: Params) -> Gaussian:
-        batched = jax.vmap(of_task, in_axes=(None, 0, 0, 0))
-        return batched(params, experience.inner, experience.outer, demos)
+        def of_task(inner: Rollouts, outer: Rollout, demos: Demos) -> Gaussian:
+            adapted = readapt(policy, inner_steps, params, inner, demos)
+            return policy.apply(adapted, outer.trajectory.obs)
+
+        return map_tasks(of_task, experience.inner, experience.outer, demos)
 
     return policies
 
