@@ -6,7 +6,8 @@ The same classes are the sections of the command line's configuration: a setting
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, field, fields
+from collections.abc import Mapping
+from dataclasses import dataclass, field, fields, is_dataclass, replace
 from typing import Any
 
 from emrld_jax.policy import ACTIVATIONS
@@ -31,8 +32,8 @@ def setting(
         "choices": choices,
     }
     metadata = {"help": help, **{k: v for k, v in allowed.items() if v is not None}}
-    if isinstance(default, list):
-        return field(default_factory=lambda: list(default), metadata=metadata)
+    if isinstance(default, list | dict):
+        return field(default_factory=default.copy, metadata=metadata)
     return field(default=default, metadata=metadata)
 
 
@@ -155,3 +156,24 @@ class Settings:
     policy: PolicySettings = field(default_factory=PolicySettings)
     adapt: AdaptSettings = field(default_factory=AdaptSettings)
     meta: MetaSettings = field(default_factory=MetaSettings)
+
+
+def numbers(settings: Any, prefix: str = "") -> tuple[str, ...]:
+    """The full names of settings that are real numbers: they change no shape, so may be traced."""
+    names: list[str] = []
+    for item in fields(settings):
+        value = getattr(settings, item.name)
+        if is_dataclass(value):
+            names += numbers(value, f"{prefix}{item.name}.")
+        elif item.type in ("float", "float | None"):
+            names.append(f"{prefix}{item.name}")
+    return tuple(names)
+
+
+def with_values(settings: Any, values: Mapping[str, Any]) -> Any:
+    """A copy of a settings object with some values, by full name, changed; arrays may be traced."""
+    for name, value in values.items():
+        section, dot, rest = name.partition(".")
+        inside = with_values(getattr(settings, section), {rest: value}) if dot else value
+        settings = replace(settings, **{section: inside})
+    return settings

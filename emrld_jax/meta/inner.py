@@ -19,7 +19,7 @@ class InnerStep(NamedTuple):
     """One gradient step of adaptation."""
 
     loss: InnerLoss
-    learning_rate: float
+    learning_rate: float | jax.Array
     on_policy: bool  # whether it collects episodes first, with the parameters it starts from
     first_order: bool  # whether the meta-gradient ignores the dependence of its gradient on them
 
@@ -42,14 +42,21 @@ def demonstration_loss(policy: Policy, params: Params, demos: Demos) -> jax.Arra
     return -masked_mean(density, demos.mask)
 
 
-def enhanced_loss(w_rl: float, w_bc: float) -> InnerLoss:
-    """w_rl * policy gradient + w_bc * demonstrations: EMRLD's inner loss."""
+def _is_zero(weight: float | jax.Array) -> bool:
+    return isinstance(weight, int | float) and weight == 0
+
+
+def enhanced_loss(w_rl: float | jax.Array, w_bc: float | jax.Array) -> InnerLoss:
+    """w_rl * policy gradient + w_bc * demonstrations: EMRLD's inner loss.
+
+    A term whose weight is the number 0 is not computed; that of a traced weight always is.
+    """
 
     def loss(policy: Policy, params: Params, rollout: Rollout | None, demos: Demos) -> jax.Array:
         total = jnp.zeros(())
-        if rollout is not None and w_rl:
+        if rollout is not None and not _is_zero(w_rl):
             total += w_rl * policy_gradient_loss(policy, params, rollout)
-        if w_bc:
+        if not _is_zero(w_bc):
             total += w_bc * demonstration_loss(policy, params, demos)
         return total
 

@@ -3,13 +3,16 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from functools import partial
+from math import prod
 from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
+from jax.flatten_util import ravel_pytree
 
 from emrld_jax.meta.adaptation import Adapted, InnerSteps, Rollouts, adapt, readapt
-from emrld_jax.meta.batching import map_tasks
+from emrld_jax.meta.batching import map_each, max_over_devices, mean_over_devices
 from emrld_jax.meta.outer import Metrics, Objective, OuterOptimizer
 from emrld_jax.policy import Policy
 from emrld_jax.sampling.rollouts import (
@@ -42,20 +45,32 @@ class Experience(NamedTuple):
 Sizes = Any  # an Experience with a number of steps in place of each Rollout
 
 
+class Gathered(NamedTuple):
+    """What the first half of a meta-iteration makes."""
+
+    experience: Experience
+    needed: Sizes  # most steps of a task that matter, [] each
+    metrics: Metrics
+
+
 class Programs(NamedTuple):
-    """The two programs of a meta-iteration, not compiled yet, so that they can be batched first.
+    """The two halves of a meta-iteration, not compiled yet, so that they can be batched first.
 
     The first collects all episodes, without gradients. The second re-adapts on them as a function
     of the meta-parameters, which the optimizer improves. Between them the number of steps that
     matter is read, so that the others can be left out: steps after an episode's end, and of those
     that adaptation uses, steps without an advantage. (An inner loss must weigh each step's term by
     its advantage.)
+
+    Where several devices share the tasks, along an axis of a mesh, [M] is a device's own tasks.
     """
 
-    # (params, key, tasks [M], demos [M])
-    gather: Callable[[Params, jax.Array, Task, Demos], tuple[Experience, Metrics]]
-    # (state, experience, demos [M], sizes), where sizes are static
-    improve: Callable[[MetaState, Experience, Demos, Sizes], tuple[MetaState, Metrics]]
+    # (params, keys [M], tasks [M], demos [M], axis or None)
+    gather: Callable[[Params, jax.Array, Task, Demos, str | None], Gathered]
+    # (state, experience, demos [M], sizes, axis or None), where sizes are static
+    improve: Callable[
+        [MetaState, Experience, Demos, Sizes, str | None], tuple[MetaState, Metrics]
+    ]
 
 
 class MetaLearner(NamedTuple):
@@ -67,8 +82,6 @@ class MetaLearner(NamedTuple):
     adapt: Callable[[Params, jax.Array, Task, Demos, Collect], Adapted]
     # (state, key, tasks [M], demos [M]): one meta-iteration
     update: Callable[[MetaState, jax.Array, Task, Demos], tuple[MetaState, Metrics]]
-    # (states [K], keys [K], tasks [M], demos [M]): one meta-iteration of each of K learners
-    update_all: Callable[[MetaState, jax.Array, Task, Demos], tuple[MetaState, Metrics]]
     programs: Programs  # what `update` is made of
 
 
@@ -105,74 +118,66 @@ def meta_learner(
         return Experience(adapted.rollouts, collect(adapted.params, outer_key, task))
 
     def gather(
-        params: Params, key: jax.Array, tasks: Task, demos: Demos
-    ) -> tuple[Experience, Metrics]:
-        keys = jax.random.split(key, demos.mask.shape[0])
+        params: Params, keys: jax.Array, tasks: Task, demos: Demos, axis: str | None
+    ) -> Gathered:
         experience = jax.vmap(gather_one, in_axes=(None, 0, 0, 0))(params, keys, tasks, demos)
-        metrics = _episode_metrics(experience)
+        metrics = mean_over_devices(_episode_metrics(experience), axis)
         # adaptation weighs steps by their advantage, the trust region does not
         inner = jax.tree.map(jax.vmap(without_idle_steps), experience.inner, is_leaf=_is_rollout)
-        return experience._replace(inner=inner), metrics
+        experience = experience._replace(inner=inner)
+        most = jax.tree.map(lambda r: jnp.max(living_steps(r)), experience, is_leaf=_is_rollout)
+        return Gathered(experience, max_over_devices(most, axis), metrics)
 
     def improve(
-        state: MetaState, experience: Experience, demos: Demos, sizes: Sizes
+        state: MetaState, experience: Experience, demos: Demos, sizes: Sizes, axis: str | None
     ) -> tuple[MetaState, Metrics]:
         def objective(every: int) -> Objective:
             steps = _gather_living(experience, sizes, every)
             policies = _adapted_policies(policy, inner_steps, steps, demos)
-            return outer_objective(policies, steps, demos)
+            average = partial(mean_over_devices, axis=axis)
+            return outer_objective(policies, steps, demos)._replace(average=average)
 
         params, opt_state, metrics = optimizer.update(
             objective(1), objective(curvature_every), state.params, state.opt_state
         )
-        return MetaState(params, opt_state), metrics
+        size = jnp.linalg.norm(ravel_pytree(params)[0])
+        return MetaState(params, opt_state), {**metrics, "outer/params_norm": size}
 
     programs = Programs(gather, improve)
-    return MetaLearner(
-        policy, init, adapt_one, compiled(programs), compiled(over_learners(programs)), programs
-    )
+    return MetaLearner(policy, init, adapt_one, _compiled(programs), programs)
 
 
-def over_learners(programs: Programs) -> Programs:
-    """The same for K learners on the same tasks; a leading [K] of states, keys and experience."""
-
-    def improve(
-        states: MetaState, experience: Experience, demos: Demos, sizes: Sizes
-    ) -> tuple[MetaState, Metrics]:
-        def one(state: MetaState, own: Experience) -> tuple[MetaState, Metrics]:
-            return programs.improve(state, own, demos, sizes)
-
-        return jax.vmap(one)(states, experience)
-
-    return Programs(jax.vmap(programs.gather, in_axes=(0, 0, None, None)), improve)
-
-
-def compiled(
+def _compiled(
     programs: Programs,
 ) -> Callable[[MetaState, jax.Array, Task, Demos], tuple[MetaState, Metrics]]:
-    """A meta-iteration of compiled programs."""
-    gather, improve = jax.jit(programs.gather), jax.jit(programs.improve, static_argnums=3)
+    """A meta-iteration of one learner on one device."""
+
+    @jax.jit
+    def gather(params: Params, key: jax.Array, tasks: Task, demos: Demos) -> Gathered:
+        keys = jax.random.split(key, demos.mask.shape[0])
+        return programs.gather(params, keys, tasks, demos, None)
+
+    improve = jax.jit(programs.improve, static_argnums=(3, 4))
 
     def update(
         state: MetaState, key: jax.Array, tasks: Task, demos: Demos
     ) -> tuple[MetaState, Metrics]:
-        experience, metrics = gather(state.params, key, tasks, demos)
-        state, outer = improve(state, experience, demos, bucket_sizes(experience))
+        experience, needed, metrics = gather(state.params, key, tasks, demos)
+        state, outer = improve(state, experience, demos, bucket_sizes(experience, needed), None)
         return state, {**metrics, **outer}
 
     return update
 
 
-def bucket_sizes(experience: Experience) -> Sizes:
-    """How many steps a task of each rollout are gathered into."""
-    return jax.tree.map(bucket, experience, is_leaf=_is_rollout)
+def bucket_sizes(experience: Experience, needed: Sizes) -> Sizes:
+    """How many steps a task of each rollout are gathered into; waits for `needed`."""
+    totals = jax.tree.map(lambda r: prod(r.advantage.shape[-2:]), experience, is_leaf=_is_rollout)
+    return jax.tree.map(bucket, totals, jax.device_get(needed))
 
 
-def bucket(rollouts: Rollout) -> int:
-    """The smallest of the BUCKETS that holds every task's living steps; rollouts [.., E, T]."""
-    episodes, horizon = rollouts.advantage.shape[-2:]
-    needed = int(jnp.max(living_steps(rollouts)))
-    return next(size for part in BUCKETS if (size := int(part * episodes * horizon)) >= needed)
+def bucket(total: int, needed: int) -> int:
+    """The smallest of the BUCKETS, as parts of `total` steps, that holds the needed ones."""
+    return next(size for part in BUCKETS if (size := int(part * total)) >= needed)
 
 
 def _is_rollout(x: Any) -> bool:
@@ -198,7 +203,7 @@ def _adapted_policies(
             adapted = readapt(policy, inner_steps, params, inner, demos)
             return policy.apply(adapted, outer.trajectory.obs)
 
-        return map_tasks(of_task, experience.inner, experience.outer, demos)
+        return map_each(of_task, experience.inner, experience.outer, demos)
 
     return policies
 

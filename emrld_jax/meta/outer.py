@@ -20,11 +20,15 @@ class Objective(NamedTuple):
 
     Keeping the outputs in sight lets an optimizer linearize the model once, and use the curvature
     that the divergence has in them (Gauss-Newton).
+
+    Where several devices share the tasks, all but `average` is of a device's own ones. An optimizer
+    averages the loss, the divergence and their derivatives in the parameters before it uses them.
     """
 
     outputs: Callable[[Params], Any]
     loss: Callable[[Any, Any], jax.Array]  # (new outputs, old outputs) -> []
     divergence: Callable[[Any, Any], jax.Array]  # (new, old) -> [], least where they are equal
+    average: Callable[[Any], Any] = lambda own: own  # the mean over devices, of a pytree
 
 
 class OuterOptimizer(NamedTuple):

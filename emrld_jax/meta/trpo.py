@@ -130,12 +130,12 @@ def trpo(
     ) -> tuple[Params, Any, Metrics]:
         flat, unravel = ravel_pytree(params)
         old, pull = jax.vjp(lambda x: objective.outputs(unravel(x)), flat)
-        loss, slope = jax.value_and_grad(objective.loss)(old, old)
-        (gradient,) = pull(slope)
+        own_loss, slope = jax.value_and_grad(objective.loss)(old, old)
+        loss, gradient = objective.average((own_loss, pull(slope)[0]))
 
         def evaluate(x: jax.Array) -> tuple[jax.Array, jax.Array]:
             new = objective.outputs(unravel(x))
-            return objective.loss(new, old), objective.divergence(new, old)
+            return objective.average((objective.loss(new, old), objective.divergence(new, old)))
 
         product = fisher_product(curvature, flat, unravel, damping)
         direction, residual = conjugate_gradient(product, -gradient, cg_iterations)
@@ -165,6 +165,6 @@ def fisher_product(
 
     def product(v: jax.Array) -> jax.Array:
         _, curved = jax.jvp(lambda new: slope(new, old), (old,), (push(v),))
-        return pull(curved)[0] + damping * v
+        return objective.average(pull(curved)[0]) + damping * v
 
     return product

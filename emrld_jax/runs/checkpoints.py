@@ -8,7 +8,6 @@ from pathlib import Path
 from typing import Any, NamedTuple, Self
 
 import jax
-import jax.numpy as jnp
 import numpy as np
 import orbax.checkpoint as ocp
 
@@ -39,7 +38,10 @@ class Checkpoints:
     def __init__(self, folder: Path, *, read_only: bool = False) -> None:
         self._folder, self._read_only = folder.absolute(), read_only
         options = ocp.CheckpointManagerOptions(
-            max_to_keep=2, enable_async_checkpointing=False, read_only=read_only
+            max_to_keep=2,
+            enable_async_checkpointing=False,
+            read_only=read_only,
+            multiprocessing_options=_this_process_alone(),
         )
         self._manager = ocp.CheckpointManager(self._folder, options=options)
 
@@ -60,11 +62,14 @@ class Checkpoints:
                 f"checkpoint {step} of {self._folder} cannot be written: {reason}"
             ) from error
 
-    def restore(self, like: Progressed, note: Callable[[str], None]) -> Progressed | None:
+    def restore(
+        self, like: Progressed, note: Callable[[str], None], at_most: int | None = None
+    ) -> Progressed | None:
         """The newest checkpoint that is whole; None if there is none.
 
         Args:
             like: a state of the same structure.
+            at_most: iterations done that it may have; None for any.
             note: told of checkpoints that cannot be read; unless read-only, they are put aside once
                 an older one has been read.
 
@@ -73,9 +78,11 @@ class Checkpoints:
         """
         broken: dict[int, str] = {}  # reasons
         for step in sorted(self._manager.all_steps(), reverse=True):
+            if at_most is not None and step > at_most:
+                continue
             try:
                 args = ocp.args.StandardRestore(_tree(like))
-                tree = jax.tree.map(_uncommitted, self._manager.restore(step, args=args))
+                tree = self._manager.restore(step, args=args)
             except _BROKEN as error:
                 broken[step] = (str(error).splitlines() or [""])[0][:100]
                 continue
@@ -108,14 +115,23 @@ _REST = Progressed._fields[1:]
 
 
 def _tree(progressed: Progressed) -> dict[str, Any]:
-    """The state under names, so that a checkpoint can be read without this package."""
+    """The state under names, so that a checkpoint can be read without this package.
+
+    Its arrays are NumPy's: a checkpoint does not depend on the devices that it was made on.
+    """
     rest = dict(zip(_REST, progressed[1:], strict=True))
-    return {"params": progressed.state.params, "opt_state": progressed.state.opt_state, **rest}
+    tree = {"params": progressed.state.params, "opt_state": progressed.state.opt_state, **rest}
+    return jax.tree.map(lambda leaf: leaf if isinstance(leaf, int) else np.asarray(leaf), tree)
 
 
-def _uncommitted(leaf: Any) -> Any:
-    """As the first iterations had it: orbax pins arrays to a device, which compiles anew."""
-    return jnp.asarray(np.asarray(leaf)) if isinstance(leaf, jax.Array) else leaf
+def _this_process_alone() -> ocp.options.MultiprocessingOptions:
+    """Orbax is not to wait for other processes: one of them writes all files."""
+    if jax.process_count() == 1:
+        return ocp.options.MultiprocessingOptions()
+    own = jax.process_index()
+    return ocp.options.MultiprocessingOptions(
+        primary_host=own, active_processes={own}, barrier_sync_key_prefix=f"process{own}"
+    )
 
 
 def _rest(tree: dict[str, Any]) -> tuple[Any, ...]:

@@ -23,7 +23,9 @@ from emrld_jax import algorithms
 from emrld_jax.demos import DemoError
 from emrld_jax.runs.config import (
     PATHS,
+    PLACES,
     RESUMABLE,
+    VARIED,
     ConfigError,
     EvaluateConfig,
     TrainConfig,
@@ -31,6 +33,7 @@ from emrld_jax.runs.config import (
     load_config,
     updated,
 )
+from emrld_jax.runs.folder import run_folders
 from emrld_jax.runs.usage import Leaf, leaves
 from emrld_jax.settings import allowed_values
 
@@ -38,7 +41,9 @@ __all__ = ["evaluate_config", "parse", "run_command", "train_config", "updated"]
 
 CONF = Path(__file__).parents[1] / "conf"
 
-SIZES = ("adapt.num_episodes", "env.horizon", "policy.hidden_sizes")  # what memory grows with
+# what memory grows with
+SIZES = ("num_seeds", "adapt.num_episodes", "env.horizon", "policy.hidden_sizes")
+VMAP = "vmap."  # before the name of a setting: values that are trained side by side
 
 Values = dict[str, Any]
 
@@ -81,8 +86,9 @@ def evaluate_config(arguments: Sequence[str]) -> EvaluateConfig:
 def _check_used(algo: str, values: Values) -> None:
     """Refuses settings that the algorithm has no use for."""
     for key in values:
-        if not algorithms.uses(algo, key):
-            users = ", ".join(name for name in algorithms.names() if algorithms.uses(name, key))
+        setting = key.removeprefix(VMAP)
+        if not algorithms.uses(algo, setting):
+            users = ", ".join(name for name in algorithms.names() if algorithms.uses(name, setting))
             raise ConfigError(f"{key} has no effect with algo={algo}; it is for {users}")
 
 
@@ -105,6 +111,8 @@ def parse(arguments: Sequence[str], schema: Any, options: dict[str, tuple[str, .
             raise ConfigError(f"{argument}: {key} is given twice")
         if key in options:
             _check_option(key, value, options[key])
+        elif key.startswith(VMAP) and "vmap" in known:
+            _check_varied(argument, key, value)
         else:
             _check_setting(argument, key, value, known, tuple(options))
         values[key] = value
@@ -199,6 +207,22 @@ def _check_setting(
         raise ConfigError(f"{argument} is not allowed: it must be {allowed}") from error
 
 
+def _check_varied(argument: str, key: str, value: Any) -> None:
+    """Refuses what cannot be trained side by side."""
+    name = key.removeprefix(VMAP)
+    if name not in VARIED:
+        raise ConfigError(
+            f"{argument}: {name} cannot differ between runs of one program"
+            f"{did_you_mean(name, VARIED)}; these numbers can: {', '.join(VARIED)}. "
+            "For others: python -m emrld_jax.sweep"
+        )
+    is_list = isinstance(value, list) and len(value) > 0
+    if not is_list or not all(type(x) in (int, float) for x in value):
+        raise ConfigError(f"{argument} is not allowed: it must be a list of numbers, as [0.2,0.5]")
+    if len(set(value)) < len(value):
+        raise ConfigError(f"{argument} is not allowed: a value is given twice")
+
+
 def did_you_mean(wrong: str, known: Sequence[str]) -> str:
     """A hint at the closest known name; empty if none is close."""
     lower = {name.lower(): name for name in known}
@@ -214,21 +238,39 @@ def _composed(arguments: Sequence[str], values: Values) -> TrainConfig:
     ConfigStore.instance().store(name="train_schema", node=TrainConfig)
     try:
         with initialize_config_dir(str(CONF), version_base="1.3"):
-            overrides = [text for text in arguments if text.partition("=")[0] not in PATHS]
+            overrides = [text for text in arguments if _is_for_hydra(text)]
             config: Any = OmegaConf.to_object(compose("train", overrides=overrides))
     except (HydraException, OmegaConfBaseException) as error:
         raise ConfigError(str(error).splitlines()[0]) from error
-    return replace(config, **{key: value for key, value in values.items() if key in PATHS})
+    vmap = {
+        key.removeprefix(VMAP): [float(x) for x in value]
+        for key, value in values.items()
+        if key.startswith(VMAP)
+    }
+    for name in vmap:
+        if name in values:
+            raise ConfigError(f"{name} and {VMAP}{name} are both given")
+    paths = {key: value for key, value in values.items() if key in PATHS}
+    return replace(config, **paths, vmap=vmap)
+
+
+def _is_for_hydra(argument: str) -> bool:
+    """Paths and vmap are not: the first are literal, the second are not known to its schema."""
+    key = argument.partition("=")[0]
+    return key not in PATHS and not key.startswith(VMAP)
 
 
 def _resumed(values: Values) -> TrainConfig:
-    """The configuration of the run to continue, with what may be changed of it."""
+    """The configuration of the runs to continue, with what may be changed of it.
+
+    Of several that began together it is that of the first; they differ in seeds and numbers.
+    """
     directory = values["resume"]
-    config = load_config(Path(directory) / "config.yaml")
+    allowed = (*RESUMABLE, *PLACES)
     for key in values:
-        if key not in (*RESUMABLE, "resume"):
+        if key not in (*allowed, "resume"):
             raise ConfigError(
                 f"{key} cannot be changed along with resume={directory}: the run continues as it "
-                f"was; allowed: {', '.join(RESUMABLE)}"
+                f"was; allowed: {', '.join(allowed)}"
             )
-    return updated(config, values)
+    return updated(load_config(run_folders(Path(directory))[0] / "config.yaml"), values)

@@ -19,7 +19,9 @@ from emrld_jax.settings import (
     PolicySettings,
     Settings,
     check,
+    numbers,
     setting,
+    with_values,
 )
 from envs_jax import Env, make, names
 from envs_jax.base import REWARDS
@@ -27,6 +29,15 @@ from envs_jax.base import REWARDS
 W_RL_OPTIMAL, W_RL_SUBOPTIMAL = 0.2, 1.0  # the paper's (section C)
 PATHS = ("demos", "file", "out", "resume", "run", "runs")  # taken literally: no grammar in a path
 RESUMABLE = ("meta.iterations", "checkpoint_every", "evaluation_episodes")
+PLACES = (  # where a run computes, which is no part of what it is: never kept with a run
+    "devices",
+    "processes",
+    "distributed.coordinator",
+    "distributed.num_processes",
+    "distributed.process_id",
+    "distributed.timeout",
+)
+VARIED = numbers(Settings())  # settings that runs of one program may differ in
 
 
 class ConfigError(ValueError):
@@ -48,6 +59,22 @@ class EnvSettings:
 
 
 @dataclass
+class DistributedSettings:
+    """Several processes, on one machine or many, that train together; each has the same settings."""
+
+    coordinator: str | None = setting(
+        None, "HOST:PORT of the process with id 0, which others can reach; null: one process alone"
+    )
+    num_processes: int = setting(1, "processes that train together", at_least=1, at_most=4096)
+    process_id: int = setting(
+        0, "which of them this one is; 0 writes all files", at_least=0, at_most=4095
+    )
+    timeout: int = setting(
+        60, "s to wait for the others at the start, and for a sign of life", at_least=5
+    )
+
+
+@dataclass
 class TrainConfig:
     """All settings of a training run."""
 
@@ -61,6 +88,9 @@ class TrainConfig:
         "seeds trained side by side in one program, from seed on; each is a run of its own",
         at_least=1,
         at_most=4096,
+    )
+    vmap: dict[str, list[float]] = setting(
+        {}, "values of a number that are trained side by side, such as vmap.w_rl=[0.2,0.5]"
     )
     w_rl: float | None = setting(
         None,
@@ -78,12 +108,21 @@ class TrainConfig:
     )
     runs: str = setting("runs", "folder that run folders are made in")
     resume: str | None = setting(
-        None, f"run folder to continue; with it, only {', '.join(RESUMABLE)} may be given"
+        None,
+        "run folder to continue, or a folder of several that began together; with it, only "
+        f"{', '.join(RESUMABLE)} may be given, and where to compute",
+    )
+    devices: str = setting(
+        "1", "how many devices of each process share the work: a whole number, or all"
+    )
+    processes: int = setting(
+        1, "processes to start on this machine, each on its share of the cores", at_least=1
     )
     env: EnvSettings = field(default_factory=EnvSettings)
     policy: PolicySettings = field(default_factory=PolicySettings)
     adapt: AdaptSettings = field(default_factory=AdaptSettings)
     meta: MetaSettings = field(default_factory=MetaSettings)
+    distributed: DistributedSettings = field(default_factory=DistributedSettings)
 
 
 @dataclass
@@ -114,6 +153,12 @@ def check_config(config: Any) -> None:
     Raises:
         ConfigError: names the setting, its value and what is allowed.
     """
+    _check_values(config)
+    if isinstance(config, TrainConfig):
+        _check_training(config)
+
+
+def _check_values(config: Any) -> None:
     try:
         check(config)
         for item in fields(config):
@@ -121,12 +166,38 @@ def check_config(config: Any) -> None:
                 check(section, f"{item.name}.")
     except ValueError as error:
         raise ConfigError(str(error)) from error
-    policy = getattr(config, "policy", None)
-    if policy is not None and policy.start_at_zero and not policy.hidden_sizes:
+
+
+def _check_training(config: TrainConfig) -> None:
+    """Refuses settings that do not go together."""
+    policy, distributed = config.policy, config.distributed
+    if policy.start_at_zero and not policy.hidden_sizes:
         raise ConfigError(
             "policy.hidden_sizes=[] is not allowed with policy.start_at_zero=true: the last hidden "
             "layer's units make the start; give policy.start_at_zero=false"
         )
+    if config.devices != "all" and not (config.devices.isdecimal() and int(config.devices) > 0):
+        raise ConfigError(f"devices={config.devices} is not allowed: it must be at least 1, or all")
+    if distributed.process_id >= distributed.num_processes:
+        raise ConfigError(
+            f"distributed.process_id={distributed.process_id} is not allowed: it must be below "
+            f"distributed.num_processes={distributed.num_processes}"
+        )
+    alone = distributed.num_processes == 1
+    if alone != (distributed.coordinator is None):
+        raise ConfigError(
+            f"distributed.num_processes={distributed.num_processes} "
+            + ("goes with" if alone else "needs")
+            + (" distributed.coordinator=null" if alone else " distributed.coordinator=HOST:PORT")
+        )
+    if not alone and config.processes > 1:
+        raise ConfigError(
+            f"processes={config.processes} starts processes on this machine alone; it cannot be "
+            "given along with distributed.coordinator"
+        )
+    for name, values in config.vmap.items():
+        for value in values:
+            _check_values(with_values(config, {name: value}))
 
 
 def algorithm_settings(config: TrainConfig) -> Settings:

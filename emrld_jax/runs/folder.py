@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import fcntl
-from collections.abc import Iterator
+import os
+import re
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from itertools import count
 from pathlib import Path
@@ -53,13 +55,28 @@ class RunFolder:
             yield
 
 
-def new_run_folder(config: TrainConfig) -> tuple[RunFolder, str]:
-    """Makes runs/<env>/<algo>-<demos>/seed<k>/ and says what to know about it, or nothing.
+def run_folders(directory: Path) -> list[Path]:
+    """The run folder that this is, or those somewhere below it, in the order of their names."""
+    if directory.is_dir() and not (directory / "config.yaml").is_file():
+        inside = (path.parent for path in directory.rglob("checkpoints") if path.is_dir())
+        below = sorted((p for p in inside if (p / "config.yaml").is_file()), key=_by_numbers)
+        return below or [directory]
+    return [directory]
+
+
+def _by_numbers(path: Path) -> list[tuple[float, str]]:
+    """A key that sorts seed10 after seed9."""
+    parts = re.split(r"(\d+(?:\.\d+)?)", str(path))
+    return [(float(x), "") if i % 2 else (0.0, x) for i, x in enumerate(parts)]
+
+
+def new_run_folder(config: TrainConfig, label: str) -> tuple[RunFolder, str]:
+    """Makes runs/<env>/<algo>-<demos>/[<label>/]seed<k>/ and says what to know about it.
 
     If there is such a run already, the new folder's name gets a number.
     """
     demos = Path(config.demos).stem
-    parent = Path(config.runs) / config.env.name / f"{config.algo}-{demos}"
+    parent = Path(config.runs) / config.env.name / f"{config.algo}-{demos}" / label
     wanted = RunFolder(parent / f"seed{config.seed}")
     try:
         path = new_folder(wanted.path)
@@ -74,6 +91,17 @@ def new_run_folder(config: TrainConfig) -> tuple[RunFolder, str]:
     if not wanted.finished:
         note += f" and is unfinished (to continue it: {wanted.resume_command})"
     return RunFolder(path), f"{note}; this run goes to {path}"
+
+
+def resume_commands(folders: Sequence[RunFolder]) -> list[str]:
+    """What continues these runs: one command if a folder holds them and no other unfinished one."""
+    paths = {folder.path for folder in folders}
+    holder = Path(os.path.commonpath(paths))
+    if len(paths) > 1:
+        unfinished = {path for path in run_folders(holder) if not RunFolder(path).finished}
+        if unfinished == paths:
+            return [RunFolder(holder).resume_command]
+    return [folder.resume_command for folder in folders]
 
 
 def new_folder(wanted: Path) -> Path:

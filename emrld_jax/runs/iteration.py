@@ -1,18 +1,20 @@
-"""One meta-iteration of runs: a function of where they stand, so that a resumed run is the same."""
+"""Meta-iterations of runs: functions of where they stand, so that a resumed run is the same."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from typing import Any
+from functools import cached_property
 
 import jax
-import jax.numpy as jnp
 import numpy as np
 
 from emrld_jax.meta.learner import MetaState
+from emrld_jax.meta.side_by_side import make_mesh, replicate, share_tasks, side_by_side
 from emrld_jax.runs.checkpoints import Progressed
-from emrld_jax.runs.setup import Setup
+from emrld_jax.runs.config import ConfigError
+from emrld_jax.runs.setup import Setup, learner_with
+from emrld_jax.runs.variants import differences
 
 
 class DivergenceError(RuntimeError):
@@ -31,43 +33,92 @@ def initial(setup: Setup) -> Progressed:
     return Progressed(setup.learner.init(streams(key_data)[0]), key_data, 0, 0)
 
 
-def iterate(setup: Setup, runs: Sequence[Progressed]) -> list[tuple[Progressed, dict[str, float]]]:
-    """Where runs of different seeds stand after one more meta-iteration, and its metrics.
+class Standing:
+    """Where runs stand that have done as many iterations; a state of each, [K], is on devices."""
 
-    Args:
-        setup: what the runs share.
-        runs: with as many iterations done each.
+    def __init__(
+        self, states: MetaState, keys: np.ndarray, iteration: int, env_steps: Sequence[int]
+    ) -> None:
+        self.states, self.keys = states, keys
+        self.iteration, self.env_steps = iteration, tuple(env_steps)
 
-    Raises:
-        DivergenceError: a metric or a parameter is not finite.
-    """
-    part = setup.demos.train
-    keys = [jax.random.fold_in(streams(run.key)[1], run.iteration) for run in runs]
-    if len(runs) == 1:
-        only = setup.learner.update(runs[0].state, keys[0], part.tasks, part.demos)
-        return [_after(setup, runs[0], *only)]
-    states = jax.tree.map(lambda *leaves: np.stack(leaves), *(run.state for run in runs))
-    together = setup.learner.update_all(states, jnp.stack(keys), part.tasks, part.demos)
-    together = jax.device_get(together)  # one transfer, then cheap slices
-    own = (jax.tree.map(lambda x, k=k: x[k], together) for k in range(len(runs)))
-    return [_after(setup, run, *results) for run, results in zip(runs, own, strict=True)]
+    def run(self, k: int) -> Progressed:
+        """Where the k-th run stands, on the host."""
+        state = jax.tree.map(lambda leaf: leaf[k], self._fetched)
+        return Progressed(state, self.keys[k], self.iteration, self.env_steps[k])
+
+    @cached_property
+    def _fetched(self) -> MetaState:
+        """All states in one transfer."""
+        return jax.device_get(self.states)
 
 
-def _after(
-    setup: Setup, run: Progressed, state: MetaState, arrays: dict[str, Any]
-) -> tuple[Progressed, dict[str, float]]:
-    metrics = {name: float(value) for name, value in jax.device_get(arrays).items()}
-    _check_finite(run.iteration, metrics, state.params)
-    episodes = setup.demos.train.demos.mask.shape[0] * setup.config.adapt.num_episodes
-    lengths = (value for name, value in metrics.items() if name.startswith("adapt/length_"))
-    env_steps = run.env_steps + sum(round(length * episodes) for length in lengths)
-    return Progressed(state, run.key, run.iteration + 1, env_steps), metrics
+class Together:
+    """Runs that advance together, in one program on a mesh of devices."""
+
+    def __init__(self, setups: Sequence[Setup], devices: Sequence[jax.Device]) -> None:
+        """Assembles the program.
+
+        Args:
+            setups: of the runs, which may differ in seeds and in numbers of the algorithm.
+            devices: that share the work.
+
+        Raises:
+            ConfigError: the devices cannot share the work, or the runs cannot share a program.
+        """
+        shared, part = setups[0], setups[0].demos.train
+        tasks = part.demos.mask.shape[0]
+        try:
+            mesh = make_mesh(devices, len(setups), tasks)
+        except ValueError as error:
+            raise ConfigError(f"devices={len(devices)} is not allowed: {error}") from error
+        values = differences([setup.config for setup in setups])
+        self._mesh, self._values = mesh, replicate(values, mesh)
+        self._tasks, self._demos = share_tasks((part.tasks, part.demos), mesh)
+        self._episodes = tasks * shared.config.adapt.num_episodes
+        self._update = side_by_side(lambda own: learner_with(shared, own).programs, mesh)
+
+    def begin(self, runs: Sequence[Progressed]) -> Standing:
+        """Runs, each where it stands, put on the devices. They have done as many iterations."""
+        states = jax.tree.map(lambda *leaves: np.stack(leaves), *(run.state for run in runs))
+        keys = np.stack([run.key for run in runs])
+        env_steps = [run.env_steps for run in runs]
+        return Standing(replicate(states, self._mesh), keys, runs[0].iteration, env_steps)
+
+    def iterate(self, standing: Standing) -> tuple[Standing, list[dict[str, float]]]:
+        """Where the runs stand after one more meta-iteration, and the metrics of each.
+
+        Raises:
+            DivergenceError: a metric or a parameter is not finite.
+        """
+        i = standing.iteration
+        keys = replicate(standing.keys, self._mesh)
+        states, arrays = self._update(
+            standing.states, _iteration_keys(keys, i), self._values, self._tasks, self._demos
+        )
+        arrays = jax.device_get(arrays)
+        columns = {name: [float(x) for x in column] for name, column in arrays.items()}
+        metrics = [dict(zip(columns, row, strict=True)) for row in zip(*columns.values(), strict=True)]
+        _check_finite(i, metrics)
+        env_steps = [
+            before + self._steps(own) for before, own in zip(standing.env_steps, metrics, strict=True)
+        ]
+        return Standing(states, standing.keys, i + 1, env_steps), metrics
+
+    def _steps(self, metrics: dict[str, float]) -> int:
+        """Environment steps of an iteration."""
+        lengths = (value for name, value in metrics.items() if name.startswith("adapt/length_"))
+        return sum(round(length * self._episodes) for length in lengths)
 
 
-def _check_finite(i: int, metrics: dict[str, float], params: Any) -> None:
-    wrong = [name for name, value in metrics.items() if not math.isfinite(value)]
-    if not all(bool(jnp.isfinite(leaf).all()) for leaf in jax.tree.leaves(params)):
-        wrong.append("a parameter")
+@jax.jit
+def _iteration_keys(key_data: jax.Array, i: int) -> jax.Array:
+    """Keys of the runs' i-th iteration, [K]."""
+    return jax.vmap(lambda own: jax.random.fold_in(streams(own)[1], i))(key_data)
+
+
+def _check_finite(i: int, metrics: Sequence[dict[str, float]]) -> None:
+    wrong = sorted({name for own in metrics for name, x in own.items() if not math.isfinite(x)})
     if wrong:
         raise DivergenceError(
             f"iteration {i + 1} made {', '.join(wrong)} infinite or NaN; the state before it is "

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections import deque
 from collections.abc import Sequence
+from pathlib import Path
 from statistics import fmean, median
 from typing import Self
 
@@ -12,6 +13,7 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, T
 
 from emrld_jax.runs.metrics import Record, last_stage
 
+SHOWN = 3  # paths that are named, of many
 RECENT = 15  # iterations that the time left is estimated from
 
 
@@ -64,6 +66,14 @@ def tell(console: Console, text: str) -> None:
     console.print(text, soft_wrap=True, highlight=False, markup=False)
 
 
+def tell_some(console: Console, text: str, paths: Sequence[Path]) -> None:
+    """Shows a text, in which {} is a path, for each; of many the first ones and how many more."""
+    for path in paths[:SHOWN]:
+        tell(console, text.format(path))
+    if len(paths) > SHOWN:
+        tell(console, f"  and {len(paths) - SHOWN} more, the last one {paths[-1]}")
+
+
 def figures(records: Sequence[Record]) -> str:
     """What matters most of an iteration, in a few words: means over runs."""
     last = last_stage(records[0])
@@ -74,8 +84,7 @@ def figures(records: Sequence[Record]) -> str:
     return (
         f"return {mean('adapt/return_0'):.1f} -> {mean(f'adapt/return_{last}'):.1f}  "
         f"success {mean(f'adapt/success_{last}'):.0%}  KL {mean('outer/kl'):.4f}"
-        + f"  (mean of {len(records)} seeds)"
-        * (len(records) > 1)
+        + f"  (mean of {len(records)} runs)" * (len(records) > 1)
     )
 
 

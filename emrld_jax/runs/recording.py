@@ -8,8 +8,9 @@ from typing import Self
 
 from rich.console import Console
 
-from emrld_jax.runs.checkpoints import Checkpoints, Progressed
+from emrld_jax.runs.checkpoints import Checkpoints
 from emrld_jax.runs.folder import RunFolder
+from emrld_jax.runs.iteration import Standing
 from emrld_jax.runs.metrics import MetricsLog, Record
 from emrld_jax.runs.progress import tell
 
@@ -26,37 +27,39 @@ class Recording:
     """Keeps one run's files up to date; at the end, however it comes, the last state is saved."""
 
     def __init__(
-        self, folder: RunFolder, progressed: Progressed, checkpoint_every: int, console: Console
+        self, folder: RunFolder, k: int, standing: Standing, checkpoint_every: int, console: Console
     ) -> None:
-        self._folder, self._last, self._every = folder, progressed, checkpoint_every
-        self._console, self._unrewarded = console, 0  # iterations in a row
+        """Of the k-th of the runs that stand there."""
+        self._folder, self._k, self._last = folder, k, standing
+        self._every, self._console = checkpoint_every, console
+        self._unrewarded = 0  # iterations in a row
 
-    def add(self, progressed: Progressed, metrics: dict[str, float], seconds: float) -> Record:
+    def add(self, standing: Standing, metrics: dict[str, float], seconds: float) -> Record:
         """Writes what one more iteration brought."""
         record = {
-            "iteration": progressed.iteration - 1,
+            "iteration": standing.iteration - 1,
             **metrics,
-            "sampling/env_steps": progressed.env_steps,
+            "sampling/env_steps": standing.env_steps[self._k],
             "time/iteration_s": seconds,
         }
         self._log.write(record)
-        self._last = progressed
+        self._last = standing
         self._unrewarded = 0 if record["outer/gradient_norm"] else self._unrewarded + 1
         if self._unrewarded == PATIENCE:
             tell(self._console, f"{self._folder.path}: {NO_REWARD}")
-        if progressed.iteration % self._every == 0:
+        if standing.iteration % self._every == 0:
             self._save()
         return record
 
     def _save(self) -> None:
         self._log.sync()  # a run whose metrics are behind its checkpoint could not be resumed
-        self._checkpoints.save(self._last)
+        self._checkpoints.save(self._last.run(self._k))
 
     def __enter__(self) -> Self:
         folder, start = self._folder, self._last.iteration
         with ExitStack() as stack:
             self._checkpoints = stack.enter_context(Checkpoints(folder.checkpoints))
-            self._checkpoints.save(self._last)  # so that iterations never are without a checkpoint
+            self._checkpoints.save(self._last.run(self._k))  # iterations never are without one
             self._log = stack.enter_context(MetricsLog(folder.metrics, folder.tensorboard, start))
             self._open = stack.pop_all()
         return self

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Sequence
+from functools import partial
 from typing import Any
 
 import jax
@@ -10,31 +12,61 @@ from rich.console import Console
 from rich.table import Table
 
 from emrld_jax.demos import DemoSet
+from emrld_jax.runs.checkpoints import Progressed
+from emrld_jax.runs.config import TrainConfig
 from emrld_jax.runs.evaluation import Evaluation, evaluator, summarize
 from emrld_jax.runs.files import write_json
 from emrld_jax.runs.folder import RunFolder
+from emrld_jax.runs.iteration import Standing, streams
 from emrld_jax.runs.metrics import read_metrics
 from emrld_jax.runs.pictures import Panel, is_planar, learning_curve, trajectories
-from emrld_jax.runs.setup import Setup
-from emrld_jax.types import Params
+from emrld_jax.runs.progress import tell
+from emrld_jax.runs.setup import Setup, learner_with
+from emrld_jax.runs.variants import differences
+from emrld_jax.settings import with_values
+from emrld_jax.types import Demos, Params, Task
 
 SPLITS = {"train": "training", "test": "held-out"}
 
 
-def report(
-    setup: Setup, folder: RunFolder, params: Params, key: jax.Array, console: Console
+def report_all(
+    setups: Sequence[Setup], folders: Sequence[RunFolder], standing: Standing, console: Console
 ) -> None:
-    """Evaluates before and after adaptation on both splits; writes and shows the results."""
+    """Evaluates each run before and after adaptation on both splits; writes and shows results."""
+    shared, values = setups[0], differences([setup.config for setup in setups])
+
+    @jax.jit  # once for all runs: values are traced
+    def evaluate(own: Any, params: Params, key: jax.Array, tasks: Task, demos: Demos) -> Evaluation:
+        learner, settings = learner_with(shared, own), with_values(shared.config, own)
+        episodes = shared.config.evaluation_episodes
+        return evaluator(shared.env, learner, settings.adapt, episodes)(params, key, tasks, demos)
+
+    found = []
+    for k, (setup, folder) in enumerate(zip(setups, folders, strict=True)):
+        own = {name: column[k] for name, column in values.items()}
+        found.append(_report(setup, folder, partial(evaluate, own), standing.run(k)))
+        if len(folders) > 1:
+            tell(console, f"{folder.path}: {_in_words(found[-1])}")
+    if len(folders) == 1:
+        console.print(_table(found[0]))
+        tell(console, f"{folders[0].path}: results, pictures, checkpoints")
+    else:
+        console.print(_overview([setup.config for setup in setups], found, values))
+
+
+def _report(
+    setup: Setup, folder: RunFolder, evaluate: Callable[..., Evaluation], run: Progressed
+) -> dict[str, Any]:
+    """Evaluates one run, draws, and writes results.json last."""
     config = setup.config
-    evaluate = evaluator(setup.env, setup.learner, config.adapt, config.evaluation_episodes)
     results: dict[str, Any] = {}
     panels = []
-    keys = jax.random.split(key, len(SPLITS))
+    keys = jax.random.split(streams(run.key)[2], len(SPLITS))
     for split_key, (split, words) in zip(keys, SPLITS.items(), strict=True):
         demos: DemoSet = getattr(setup.demos, split)
         results[split] = None
         if demos.demos.mask.shape[0]:
-            evaluation = evaluate(params, split_key, demos.tasks, demos.demos)
+            evaluation = evaluate(run.state.params, split_key, demos.tasks, demos.demos)
             results[split] = {
                 **summarize(evaluation, config.seed),
                 "demonstrations": _demonstrated(demos),
@@ -45,8 +77,7 @@ def report(
     if is_planar(setup.env):
         trajectories(setup.env, panels, title, folder.path / "trajectories")
     write_json(folder.results, results)
-    console.print(_table(results))
-    console.print(f"{folder.path}: results, pictures, checkpoints", soft_wrap=True, highlight=False)
+    return results
 
 
 def before_and_after(words: str, demos: DemoSet, evaluation: Evaluation) -> list[Panel]:
@@ -68,6 +99,42 @@ def with_interval(entry: dict[str, Any], name: str, form: str) -> str:
 def _demonstrated(demos: DemoSet) -> dict[str, float]:
     returns, success = np.asarray(demos.returns), np.asarray(demos.success)
     return {"return": float(returns.mean()), "success": float(success.mean())}
+
+
+def _in_words(results: dict[str, Any]) -> str:
+    """The returns after adaptation."""
+    there = {words: results[split] for split, words in SPLITS.items() if results[split]}
+    return ", ".join(
+        f"{words} {result['stages'][-1]['return']:.1f} "
+        f"({result['stages'][-1]['success']:.0%})"
+        for words, result in there.items()
+    )
+
+
+def _overview(
+    configs: Sequence[TrainConfig], found: Sequence[dict[str, Any]], values: dict[str, np.ndarray]
+) -> Table:
+    """A row for each combination of numbers: means over its seeds, with their range."""
+    groups: dict[tuple, list[int]] = {}
+    for k in range(len(configs)):
+        groups.setdefault(tuple(float(column[k]) for column in values.values()), []).append(k)
+    table = Table(title="After adaptation: mean over seeds (their range)")
+    for name in (*values, "seeds"):
+        table.add_column(name, justify="right")
+    measured = ("return", "success")
+    shown = [s for s in SPLITS if all(results[s] is not None for results in found)]
+    for split in shown:
+        for what in measured:
+            table.add_column(f"{what}, {SPLITS[split]}", justify="right")
+    for numbers, members in groups.items():
+        cells = []
+        for split in shown:
+            for what, form in zip(measured, (".1f", ".0%"), strict=True):
+                column = [found[k][split]["stages"][-1][what] for k in members]
+                mean, low, high = np.mean(column), min(column), max(column)
+                cells.append(f"{mean:{form}} ({low:{form}} to {high:{form}})")
+        table.add_row(*(f"{x:g}" for x in numbers), str(len(members)), *cells)
+    return table
 
 
 def _table(results: dict[str, Any]) -> Table:

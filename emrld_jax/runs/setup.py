@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 from emrld_jax import algorithms
 from emrld_jax.demos import DemoFile, load, resolve
@@ -17,6 +18,7 @@ from emrld_jax.runs.config import (
     default_w_rl,
     make_env,
 )
+from emrld_jax.settings import with_values
 from envs_jax import Env
 
 
@@ -46,5 +48,18 @@ def set_up(config: TrainConfig) -> Setup:
         config = replace(config, demos=str(path.absolute()))  # valid from any working directory
     if config.w_rl is None:
         config = replace(config, w_rl=default_w_rl(demos.quality))
-    learner = algorithms.make(config.algo, env, algorithm_settings(config))
-    return Setup(config, path, demos, env, learner)
+    return Setup(config, path, demos, env, _learner(config, env, {}))
+
+
+def with_config(setup: Setup, config: TrainConfig) -> Setup:
+    """The same work with other numbers of the algorithm, or another seed."""
+    return setup._replace(config=config, learner=_learner(config, setup.env, {}))
+
+
+def learner_with(setup: Setup, values: Mapping[str, Any]) -> MetaLearner:
+    """The algorithm with these numbers, by full name, in place of its own; they may be traced."""
+    return _learner(setup.config, setup.env, values)
+
+
+def _learner(config: TrainConfig, env: Env, values: Mapping[str, Any]) -> MetaLearner:
+    return algorithms.make(config.algo, env, with_values(algorithm_settings(config), values))

@@ -1,0 +1,92 @@
+"""The devices and processes that train together, and what processes agree on."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Sequence
+
+import jax
+import numpy as np
+from jax.experimental import multihost_utils
+
+from emrld_jax.runs.checkpoints import Progressed
+from emrld_jax.runs.config import ConfigError, DistributedSettings, TrainConfig
+
+EVALUATION_S = 24 * 3600  # that other processes wait for the first one at the end
+
+
+def join(config: TrainConfig) -> list[jax.Device]:
+    """Meets the other processes, if there are any; the devices that share the work.
+
+    It has to come before anything else that uses JAX.
+
+    Raises:
+        ConfigError: there are not as many devices, or the processes did not meet in time.
+    """
+    if config.devices not in ("all", "1"):
+        _split_cpu(int(config.devices))
+    if config.distributed.num_processes > 1:
+        _meet(config.distributed)
+    if config.devices == "all":
+        return jax.devices()
+    wanted, there = int(config.devices), jax.local_device_count()
+    if wanted > there:
+        kind = jax.local_devices()[0].device_kind
+        raise ConfigError(f"devices={wanted} is not allowed: there are {there} ({kind})")
+    of_process = [[d for d in jax.devices() if d.process_index == p] for p in _processes()]
+    return [device for own in of_process for device in own[:wanted]]
+
+
+def is_first() -> bool:
+    """Whether this process is the one that writes files."""
+    return jax.process_index() == 0
+
+
+def from_first(runs: Sequence[Progressed]) -> list[Progressed]:
+    """Where the first process says that the runs stand; others give values of the same shapes."""
+    if jax.process_count() == 1:
+        return list(runs)
+    told = multihost_utils.broadcast_one_to_all(list(runs))
+    return [Progressed(r.state, r.key, int(r.iteration), int(r.env_steps)) for r in told]
+
+
+def anyone(yes: bool) -> bool:
+    """Whether any process says yes; each learns it at the same time."""
+    if jax.process_count() == 1:
+        return yes
+    return bool(np.any(multihost_utils.process_allgather(np.array(yes))))
+
+
+def _processes() -> range:
+    return range(jax.process_count())
+
+
+def _split_cpu(parts: int) -> None:
+    """Lets JAX see a CPU as so many devices, if it is what JAX computes on."""
+    if "xla_force_host_platform_device_count" in os.environ.get("XLA_FLAGS", ""):
+        return
+    # a device that waits for another one blocks a thread: with too few of them all wait forever
+    os.environ.setdefault("NPROC", str(max(os.cpu_count() or 1, 2 * parts)))
+    try:
+        jax.config.update("jax_num_cpu_devices", parts)
+    except RuntimeError:  # somebody has used JAX before: it is too late
+        return
+
+
+def _meet(settings: DistributedSettings) -> None:
+    try:
+        jax.distributed.initialize(
+            settings.coordinator,
+            settings.num_processes,
+            settings.process_id,
+            initialization_timeout=settings.timeout,
+            heartbeat_timeout_seconds=settings.timeout,
+            shutdown_timeout_seconds=EVALUATION_S,
+        )
+    except (RuntimeError, ValueError) as error:  # also what JAX's runtime raises
+        raise ConfigError(
+            f"distributed.coordinator={settings.coordinator}: process {settings.process_id} of "
+            f"{settings.num_processes} did not meet the others within "
+            f"distributed.timeout={settings.timeout} s ({str(error).splitlines()[0][:200]}); start "
+            "all of them, with the same coordinator, a port that is free there and that they reach"
+        ) from error

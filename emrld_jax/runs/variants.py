@@ -1,0 +1,81 @@
+"""The runs of one program: their own configurations, and the numbers that they differ in."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+from itertools import product
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from emrld_jax.runs.config import (
+    VARIED,
+    ConfigError,
+    DistributedSettings,
+    TrainConfig,
+    algorithm_settings,
+)
+from emrld_jax.settings import with_values
+
+
+class Variant(NamedTuple):
+    """One of the runs that a command trains."""
+
+    label: str  # the numbers that tell it from others of its seed, such as w_rl=0.4; may be empty
+    config: TrainConfig  # as if it was the only one
+
+
+def variants(config: TrainConfig) -> list[Variant]:
+    """A run for each combination of the values of `vmap`, and each seed."""
+    seeds = range(config.seed, config.seed + config.num_seeds)
+    made = []
+    for combination in product(*config.vmap.values()):
+        values = dict(zip(config.vmap, combination, strict=True))
+        label = ",".join(f"{name}={value:g}" for name, value in values.items())
+        for seed in seeds:
+            made.append(Variant(label, with_values(alone(config), {**values, "seed": seed})))
+    return made
+
+
+def alone(config: TrainConfig) -> TrainConfig:
+    """What is kept of a configuration with a run: nothing of its neighbors, or where it ran."""
+    return replace(
+        config,
+        num_seeds=1,
+        vmap={},
+        resume=None,
+        devices="1",
+        processes=1,
+        distributed=DistributedSettings(),
+    )
+
+
+def differences(configs: Sequence[TrainConfig]) -> dict[str, np.ndarray]:
+    """Values [K] of the numbers that the runs differ in.
+
+    Raises:
+        ConfigError: they differ in more than numbers and seeds.
+    """
+    own = [algorithm_settings(config) for config in configs]
+    first = configs[0]
+    for config in configs[1:]:
+        same = {name: _value(first, name) for name in (*VARIED, "seed", "runs")}
+        if with_values(config, same) != first:
+            raise ConfigError(
+                "runs that are continued together may differ in their seeds and in "
+                f"{', '.join(VARIED)} only; continue the others one by one"
+            )
+    values = {name: [_value(settings, name) for settings in own] for name in VARIED}
+    return {
+        name: np.array(column, np.float32)
+        for name, column in values.items()
+        if len(set(column)) > 1
+    }
+
+
+def _value(settings: Any, name: str) -> Any:
+    """A setting by its full name."""
+    for part in name.split("."):
+        settings = getattr(settings, part)
+    return settings
