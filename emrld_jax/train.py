@@ -5,6 +5,7 @@ from __future__ import annotations
 import sys
 
 from emrld_jax.runs import cli, help_texts
+from emrld_jax.runs.launch import launch
 
 
 def main() -> int:
@@ -14,6 +15,8 @@ def main() -> int:
         print(help_texts.train_usage(arguments))
         return 0
     config = cli.train_config(arguments)
+    if config.processes > 1:
+        return launch(arguments, config.processes)
     # only now, since it imports orbax and matplotlib: wrong arguments are told at once
     from rich.console import Console  # noqa: PLC0415
 

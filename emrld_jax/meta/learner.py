@@ -68,9 +68,7 @@ class Programs(NamedTuple):
     # (params, keys [M], tasks [M], demos [M], axis or None)
     gather: Callable[[Params, jax.Array, Task, Demos, str | None], Gathered]
     # (state, experience, demos [M], sizes, axis or None), where sizes are static
-    improve: Callable[
-        [MetaState, Experience, Demos, Sizes, str | None], tuple[MetaState, Metrics]
-    ]
+    improve: Callable[[MetaState, Experience, Demos, Sizes, str | None], tuple[MetaState, Metrics]]
 
 
 class MetaLearner(NamedTuple):

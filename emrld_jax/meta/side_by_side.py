@@ -29,9 +29,7 @@ LEARNERS, TASKS = "learners", "tasks"  # the axes of a mesh
 Values = Mapping[str, Any]  # a number for each setting that learners differ in, or numbers [K]
 
 # (states [K], keys [K], values [K], tasks [M], demos [M]): one meta-iteration of each learner
-UpdateAll = Callable[
-    [MetaState, jax.Array, Values, Task, Demos], tuple[MetaState, Metrics]
-]
+UpdateAll = Callable[[MetaState, jax.Array, Values, Task, Demos], tuple[MetaState, Metrics]]
 
 
 def make_mesh(devices: Sequence[jax.Device], learners: int, tasks: int) -> Mesh:

@@ -37,8 +37,11 @@ class Checkpoints:
 
     def __init__(self, folder: Path, *, read_only: bool = False) -> None:
         self._folder, self._read_only = folder.absolute(), read_only
+        if not read_only:
+            self._folder.mkdir(parents=True, exist_ok=True)
         options = ocp.CheckpointManagerOptions(
             max_to_keep=2,
+            create=False,
             enable_async_checkpointing=False,
             read_only=read_only,
             multiprocessing_options=_this_process_alone(),

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import sys
+import traceback
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from difflib import get_close_matches
@@ -136,6 +137,14 @@ def run_command(main: Callable[[], int]) -> NoReturn:
         print("interrupted; what was saved before is kept", file=sys.stderr, flush=True)
         sys.stdout.flush()
         os._exit(130)  # at once: an ordinary exit crashes while a compiled program goes on
+    except BaseException:
+        if not jax.distributed.is_initialized():
+            raise
+        traceback.print_exc()
+        code = 1
+    if code and jax.distributed.is_initialized():
+        sys.stdout.flush()
+        os._exit(code)  # at once: an ordinary exit waits for the other processes
     sys.exit(code)
 
 

@@ -60,7 +60,7 @@ class EnvSettings:
 
 @dataclass
 class DistributedSettings:
-    """Several processes, on one machine or many, that train together; each has the same settings."""
+    """Several processes, on one machine or many, that train together with the same settings."""
 
     coordinator: str | None = setting(
         None, "HOST:PORT of the process with id 0, which others can reach; null: one process alone"

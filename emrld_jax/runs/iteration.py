@@ -96,19 +96,22 @@ class Together:
         states, arrays = self._update(
             standing.states, _iteration_keys(keys, i), self._values, self._tasks, self._demos
         )
-        arrays = jax.device_get(arrays)
-        columns = {name: [float(x) for x in column] for name, column in arrays.items()}
-        metrics = [dict(zip(columns, row, strict=True)) for row in zip(*columns.values(), strict=True)]
+        metrics = _by_run(jax.device_get(arrays))
         _check_finite(i, metrics)
-        env_steps = [
-            before + self._steps(own) for before, own in zip(standing.env_steps, metrics, strict=True)
-        ]
+        before = zip(standing.env_steps, metrics, strict=True)
+        env_steps = [steps + self._steps(own) for steps, own in before]
         return Standing(states, standing.keys, i + 1, env_steps), metrics
 
     def _steps(self, metrics: dict[str, float]) -> int:
         """Environment steps of an iteration."""
         lengths = (value for name, value in metrics.items() if name.startswith("adapt/length_"))
         return sum(round(length * self._episodes) for length in lengths)
+
+
+def _by_run(columns: dict[str, np.ndarray]) -> list[dict[str, float]]:
+    """Metrics of each run, from a column [K] of each metric."""
+    rows = zip(*(column.tolist() for column in columns.values()), strict=True)
+    return [dict(zip(columns, row, strict=True)) for row in rows]
 
 
 @jax.jit

@@ -2,15 +2,19 @@
 
 from __future__ import annotations
 
+import json
 import os
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import asdict, replace
 
 import jax
 import numpy as np
 from jax.experimental import multihost_utils
 
 from emrld_jax.runs.checkpoints import Progressed
-from emrld_jax.runs.config import ConfigError, DistributedSettings, TrainConfig
+from emrld_jax.runs.config import ConfigError, TrainConfig
+from emrld_jax.runs.rendezvous import meet
 
 EVALUATION_S = 24 * 3600  # that other processes wait for the first one at the end
 
@@ -26,7 +30,7 @@ def join(config: TrainConfig) -> list[jax.Device]:
     if config.devices not in ("all", "1"):
         _split_cpu(int(config.devices))
     if config.distributed.num_processes > 1:
-        _meet(config.distributed)
+        _meet(config)
     if config.devices == "all":
         return jax.devices()
     wanted, there = int(config.devices), jax.local_device_count()
@@ -35,6 +39,28 @@ def join(config: TrainConfig) -> list[jax.Device]:
         raise ConfigError(f"devices={wanted} is not allowed: there are {there} ({kind})")
     of_process = [[d for d in jax.devices() if d.process_index == p] for p in _processes()]
     return [device for own in of_process for device in own[:wanted]]
+
+
+class ProcessLostError(RuntimeError):
+    """Another process of this training has ended or cannot be reached any more."""
+
+
+@contextmanager
+def losses_told() -> Iterator[None]:
+    """Raises ProcessLostError for what JAX raises when processes cannot talk to each other.
+
+    Which that is depends on the operation that meets the loss; the transport's name is in all.
+    """
+    try:
+        yield
+    except (jax.errors.JaxRuntimeError, ValueError) as error:
+        text = str(error).splitlines()[0][:200]
+        if jax.process_count() > 1 and any(name in text for name in ("Gloo", "NCCL", "UNAVAIL")):
+            raise ProcessLostError(
+                f"another process has ended, or cannot be reached any more ({text}); what was "
+                "computed is saved, and can be continued, also with fewer processes"
+            ) from error
+        raise
 
 
 def is_first() -> bool:
@@ -50,11 +76,11 @@ def from_first(runs: Sequence[Progressed]) -> list[Progressed]:
     return [Progressed(r.state, r.key, int(r.iteration), int(r.env_steps)) for r in told]
 
 
-def anyone(yes: bool) -> bool:
-    """Whether any process says yes; each learns it at the same time."""
+def largest(number: int) -> int:
+    """The largest of the processes' numbers; each learns it at the same time."""
     if jax.process_count() == 1:
-        return yes
-    return bool(np.any(multihost_utils.process_allgather(np.array(yes))))
+        return number
+    return int(np.max(multihost_utils.process_allgather(np.array(number))))
 
 
 def _processes() -> range:
@@ -73,20 +99,15 @@ def _split_cpu(parts: int) -> None:
         return
 
 
-def _meet(settings: DistributedSettings) -> None:
-    try:
-        jax.distributed.initialize(
-            settings.coordinator,
-            settings.num_processes,
-            settings.process_id,
-            initialization_timeout=settings.timeout,
-            heartbeat_timeout_seconds=settings.timeout,
-            shutdown_timeout_seconds=EVALUATION_S,
-        )
-    except (RuntimeError, ValueError) as error:  # also what JAX's runtime raises
-        raise ConfigError(
-            f"distributed.coordinator={settings.coordinator}: process {settings.process_id} of "
-            f"{settings.num_processes} did not meet the others within "
-            f"distributed.timeout={settings.timeout} s ({str(error).splitlines()[0][:200]}); start "
-            "all of them, with the same coordinator, a port that is free there and that they reach"
-        ) from error
+def _meet(config: TrainConfig) -> None:
+    settings = config.distributed
+    same = replace(config, distributed=replace(settings, process_id=0))
+    meet(settings, json.dumps(asdict(same), sort_keys=True))
+    jax.distributed.initialize(
+        settings.coordinator,
+        settings.num_processes,
+        settings.process_id,
+        initialization_timeout=settings.timeout,
+        heartbeat_timeout_seconds=settings.timeout,
+        shutdown_timeout_seconds=EVALUATION_S,
+    )

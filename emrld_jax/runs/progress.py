@@ -84,7 +84,8 @@ def figures(records: Sequence[Record]) -> str:
     return (
         f"return {mean('adapt/return_0'):.1f} -> {mean(f'adapt/return_{last}'):.1f}  "
         f"success {mean(f'adapt/success_{last}'):.0%}  KL {mean('outer/kl'):.4f}"
-        + f"  (mean of {len(records)} runs)" * (len(records) > 1)
+        + f"  (mean of {len(records)} runs)"
+        * (len(records) > 1)
     )
 
 

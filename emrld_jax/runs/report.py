@@ -105,8 +105,7 @@ def _in_words(results: dict[str, Any]) -> str:
     """The returns after adaptation."""
     there = {words: results[split] for split, words in SPLITS.items() if results[split]}
     return ", ".join(
-        f"{words} {result['stages'][-1]['return']:.1f} "
-        f"({result['stages'][-1]['success']:.0%})"
+        f"{words} {result['stages'][-1]['return']:.1f} ({result['stages'][-1]['success']:.0%})"
         for words, result in there.items()
     )
 

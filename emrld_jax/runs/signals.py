@@ -41,7 +41,7 @@ class StopSignals:
 
     @property
     def exit_code(self) -> int:
-        """What a shell reports of a process that this signal ended."""
+        """What a shell reports of a process that this signal ended; 0 if there was none."""
         return 0 if self.received is None else 128 + self.received
 
     def _note(self, number: int, frame: FrameType | None) -> None:

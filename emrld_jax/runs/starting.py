@@ -30,8 +30,8 @@ class Plan(NamedTuple):
     path: Path | None  # of the run that it continues; None for a new one
 
 
-def planned(config: TrainConfig) -> list[Plan]:
-    """The runs that the configuration asks for.
+def planned(config: TrainConfig, label: str = "") -> list[Plan]:
+    """The runs that the configuration asks for; a label comes before those of variants.
 
     Raises:
         ConfigError, DemoError: the configuration, a run or its demonstrations are refused.
@@ -39,7 +39,10 @@ def planned(config: TrainConfig) -> list[Plan]:
     first = set_up(config)
     if config.resume is None:
         new = variants(first.config)
-        return [Plan(with_config(first, variant.config), variant.label, None) for variant in new]
+        return [
+            Plan(with_config(first, own), ",".join(filter(None, (label, numbers))), None)
+            for numbers, own in new
+        ]
     saved = {path: load_config(path / "config.yaml") for path in run_folders(Path(config.resume))}
     unfinished = [
         path
@@ -137,9 +140,7 @@ def _continue(
     return restored
 
 
-def _checked_provenance(
-    setup: Setup, folder: RunFolder, now: dict, notes: dict[str, None]
-) -> dict:
+def _checked_provenance(setup: Setup, folder: RunFolder, now: dict, notes: dict[str, None]) -> dict:
     """How the run began, with notes on what is different now."""
     first = read_provenance(folder.provenance)
     if first["demos"]["sha256"] != now["demos"]["sha256"]:

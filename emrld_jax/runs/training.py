@@ -38,10 +38,15 @@ class Step(NamedTuple):
     seconds: float
 
 
-def train(config: TrainConfig, console: Console) -> int:
+def train(config: TrainConfig, console: Console, label: str = "") -> int:
     """Trains as configured, each variant as a run of its own, or continues runs.
 
     Of several processes the first writes all files; the others only compute.
+
+    Args:
+        config: all settings.
+        console: where progress is shown.
+        label: a folder for new runs between that of the algorithm and those of the seeds.
 
     Returns:
         The exit code: 0, 1 if training diverged, or that of the signal that stopped it.
@@ -50,7 +55,7 @@ def train(config: TrainConfig, console: Console) -> int:
         ConfigError, DemoError: the configuration or its demonstrations are refused.
     """
     devices = machines.join(config)
-    plans = planned(config)
+    plans = planned(config, label)
     setups = [plan.setup for plan in plans]
     runs = Runs(setups, Together(setups, devices), setups[0].config.meta.iterations)
     if not machines.is_first():
@@ -68,12 +73,13 @@ def train(config: TrainConfig, console: Console) -> int:
             tell_where(plans, folders, standing.iteration, console)
             try:
                 standing = _loop(runs, folders, standing, stop, console)
-            except DivergenceError as error:
+            except (DivergenceError, machines.ProcessLostError) as error:
                 tell(Console(stderr=True), f"error: {error}")
-                if len(folders) > 1:  # the others may go on alone
+                lost = isinstance(error, machines.ProcessLostError)
+                if lost or len(folders) > 1:  # of several that diverge, others may go on alone
                     _tell_how_to_go_on(folders, console)
                 return 1
-        if stop.received is not None or standing.iteration < runs.iterations:
+        if stop.received is not None:
             tell(console, f"Stopped after iteration {standing.iteration}; all is saved.")
             _tell_how_to_go_on(folders, console)
             return stop.exit_code
@@ -89,14 +95,21 @@ def _assist(runs: Runs) -> int:
                 pass
         except DivergenceError:  # the first one tells of it
             return 1
+        except machines.ProcessLostError as error:
+            tell(Console(stderr=True), f"error: {error}")
+            return 1
     return stop.exit_code
 
 
 def _steps(runs: Runs, standing: Standing, stop: StopSignals) -> Iterator[Step]:
     """Iterations until the last one, or until any process has received a signal."""
-    while standing.iteration < runs.iterations and not machines.anyone(stop.received is not None):
-        began = time.perf_counter()
-        standing, metrics = runs.together.iterate(standing)
+    while standing.iteration < runs.iterations:
+        with machines.losses_told():
+            if number := machines.largest(stop.received or 0):
+                stop.received = signal.Signals(number)
+                return
+            began = time.perf_counter()
+            standing, metrics = runs.together.iterate(standing)
         yield Step(standing, metrics, time.perf_counter() - began)
 
 
@@ -115,18 +128,17 @@ def _loop(
             stack.enter_context(Recording(folder, k, standing, every, console))
             for k, folder in enumerate(folders)
         ]
-        for standing, metrics, seconds in _steps(runs, standing, stop):  # noqa: B020
+        for step in _steps(runs, standing, stop):
+            standing = step.standing
             records = [
-                recording.add(standing, own, seconds)
-                for recording, own in zip(recordings, metrics, strict=True)
+                recording.add(standing, own, step.seconds)
+                for recording, own in zip(recordings, step.metrics, strict=True)
             ]
-            view.show(standing.iteration, figures(records), seconds)
+            view.show(standing.iteration, figures(records), step.seconds)
     return standing
 
 
-def _finish(
-    runs: Runs, folders: Sequence[RunFolder], standing: Standing, console: Console
-) -> int:
+def _finish(runs: Runs, folders: Sequence[RunFolder], standing: Standing, console: Console) -> int:
     """Evaluates, draws and writes results.json. A signal ends it; runs can then be resumed."""
     tell(console, "evaluating and drawing (all is saved)")
     try:

@@ -20,6 +20,7 @@ from emrld_jax import algorithms
 from emrld_jax.algorithms import parts
 from emrld_jax.meta import learner as learner_module
 from emrld_jax.meta.learner import MetaLearner, MetaState, bucket
+from emrld_jax.meta.side_by_side import make_mesh, side_by_side
 from emrld_jax.policy import Policy
 from emrld_jax.sampling.rollouts import collector
 from emrld_jax.settings import AdaptSettings, MetaSettings, PolicySettings, Settings
@@ -63,6 +64,7 @@ def learner(
     *,
     w_rl: float = 0.2,
     w_bc: float = 1.0,
+    learning_rate: float = 0.1,
     warm_start_rate: float = 0.1,
     seeded: bool = False,
 ) -> MetaLearner:
@@ -71,7 +73,9 @@ def learner(
         w_rl=w_rl,
         w_bc=w_bc,
         policy=PolicySettings(hidden_sizes=[8]),
-        adapt=AdaptSettings(num_episodes=4, learning_rate=0.1, warm_start_rate=warm_start_rate),
+        adapt=AdaptSettings(
+            num_episodes=4, learning_rate=learning_rate, warm_start_rate=warm_start_rate
+        ),
         # At the default damping and 10 iterations, conjugate gradient on so small a problem loses
         # its orthogonality and makes rounding visible, in float64 too.
         meta=MetaSettings(fisher_every=2, damping=0.1, cg_iterations=5),
@@ -141,11 +145,17 @@ def test_the_same_key_gives_the_same_update_and_another_one_another(name: str) -
 
 @ALL
 def test_learners_side_by_side_do_what_each_does_alone(name: str) -> None:
-    meta, keys = learner(name), jax.random.split(KEY, 2)
-    states = [jax.tree.map(jnp.float64, meta.init(jax.random.key(seed))) for seed in range(2)]
-    together, metrics = meta.update_all(stacked(states), keys, NEAR, DEMOS)
+    """They differ in their parameters, their keys and a number of their algorithm."""
+    rates, keys = (0.05, 0.1), jax.random.split(KEY, 2)
+    one = learner(name)
+    states = [jax.tree.map(jnp.float64, one.init(jax.random.key(seed))) for seed in range(2)]
+    mesh = make_mesh(jax.devices()[:1], learners=2, tasks=3)
+    update_all = side_by_side(lambda v: learner.__wrapped__(name, **v).programs, mesh)
+    values = {"learning_rate": np.array(rates)}
+    together, metrics = update_all(stacked(states), keys, values, NEAR, DEMOS)
     for k, state in enumerate(states):
-        own, own_metrics = meta.update(state, keys[k], NEAR, DEMOS)
+        alone = learner(name, learning_rate=rates[k])
+        own, own_metrics = alone.update(state, keys[k], NEAR, DEMOS)
         assert differ(own.params, state.params)
         assert_close(
             jax.tree.map(lambda x, k=k: x[k], (together.params, metrics)), (own.params, own_metrics)
@@ -171,8 +181,8 @@ def test_leaving_out_what_comes_after_ends_changes_nothing(
 ) -> None:
     sizes: list[int] = []
 
-    def spied(rollouts: Rollout) -> int:
-        sizes.append(bucket(rollouts))
+    def spied(total: int, needed: int) -> int:
+        sizes.append(bucket(total, needed))
         return sizes[-1]
 
     monkeypatch.setattr(learner_module, "bucket", spied)

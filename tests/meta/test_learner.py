@@ -36,22 +36,37 @@ def canned(lengths: tuple[int, ...], seed: int = 0) -> Rollout:
 
 
 @pytest.mark.parametrize(
-    ("living", "size"),
+    ("needed", "size"),
     [(1, 5), (5, 5), (6, 10), (15, 15), (16, 20), (21, 30), (31, 40), (40, 40)],
 )
-def test_the_bucket_is_the_smallest_that_holds_the_longest_task(
-    living: int, size: int, monkeypatch: pytest.MonkeyPatch
+def test_the_bucket_is_the_smallest_that_holds_what_is_needed(
+    needed: int, size: int, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(learner_module, "BUCKETS", (0.125, 0.25, 0.375, 0.5, 0.75, 1.0))
-    lengths = [min(HORIZON, max(0, living - HORIZON * e)) for e in range(EPISODES)]
-    batch = stacked([canned((1, 0, 0, 0)), canned(tuple(lengths))])
-    assert bucket(batch) == size
+    assert bucket(EPISODES * HORIZON, needed) == size
 
 
-@pytest.mark.parametrize("horizon", [1, 3, 7])
-def test_all_steps_fit_whatever_the_size(horizon: int) -> None:
-    full = jax.tree.map(lambda x: x[:1, :horizon], canned((HORIZON,)))
-    assert bucket(stacked([full])) == horizon
+@pytest.mark.parametrize("total", [1, 3, 7])
+def test_all_steps_fit_whatever_the_size(total: int) -> None:
+    assert bucket(total, total) == total
+
+
+def test_what_is_needed_is_that_of_the_longest_task() -> None:
+    """Of outer episodes all steps that exist, of inner ones those that have an advantage."""
+    sets = stacked([canned((1, 0, 0, 0)), canned((10, 4, 2, 0))])
+    idle = sets._replace(advantage=sets.advantage.at[:, 0].set(0.0))  # each first episode
+
+    def collect(params: Params, key: jax.Array, task: jax.Array) -> Rollout:
+        return jax.tree.map(lambda x: x[task], idle)
+
+    meta = learner(small_policy(), collect)
+    demos = stacked([random_demos(m) for m in range(2)])
+    keys, params = jax.random.split(jax.random.key(1)), meta.init(jax.random.key(0)).params
+    gathered = jax.jit(meta.programs.gather, static_argnums=4)(
+        params, keys, jnp.array([0, 1]), demos, None
+    )
+    assert int(gathered.needed.inner[0]) == 4 + 2
+    assert int(gathered.needed.outer) == 10 + 4 + 2
 
 
 def test_buckets_rise_to_all_steps() -> None:

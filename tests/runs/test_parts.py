@@ -26,14 +26,14 @@ from emrld_jax.runs.signals import TOLD, StopSignals
 
 def test_a_run_never_overwrites_another(tmp_path: Path) -> None:
     config = TrainConfig(algo="maml", runs=str(tmp_path), seed=4, env=EnvSettings("two_wheeled"))
-    first, note = new_run_folder(config)
+    first, note = new_run_folder(config, "")
     assert first.path == tmp_path / "two_wheeled" / "maml-optimal" / "seed4"
     assert note == ""
-    second, note = new_run_folder(config)
+    second, note = new_run_folder(config, "")
     assert second.path.name == "seed4_2"
     assert first.resume_command in note  # it is unfinished
     first.results.write_text("{}")
-    third, note = new_run_folder(config)
+    third, note = new_run_folder(config, "")
     assert third.path.name == "seed4_3"
     assert "resume" not in note
     assert "seed4_3" in note
