@@ -14,6 +14,7 @@ from queue import Queue
 from typing import Any, NamedTuple
 
 from benchmarks.records import write_record
+from emrld_jax.runs.launch import HUGE_PAGES
 from emrld_jax.runs.metrics import Record, read_metrics
 
 
@@ -60,7 +61,7 @@ def run_all(jobs: Sequence[Job]) -> None:
     for core in sorted(os.sched_getaffinity(0)):
         cores.put(core)
     # a program that shares its one core with nobody is faster than two that share two
-    environment = os.environ | {"XLA_FLAGS": "--xla_cpu_multi_thread_eigen=false"}
+    environment = HUGE_PAGES | os.environ | {"XLA_FLAGS": "--xla_cpu_multi_thread_eigen=false"}
 
     def run(job: Job) -> None:
         core = cores.get()

@@ -10,10 +10,10 @@ import resource
 import shlex
 import sys
 import time
-from collections.abc import Callable
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -21,15 +21,18 @@ import numpy as np
 
 from benchmarks.flops import matrix_flops
 from benchmarks.records import write_record
+from benchmarks.startup import start_up
+from benchmarks.timing import Row, duration, rate, seconds, table
 from emrld_jax import algorithms
 from emrld_jax.demos.shipped import QUALITIES
 from emrld_jax.meta.learner import MetaLearner, MetaState, bucket_sizes
 from emrld_jax.runs import cli
 from emrld_jax.runs.checkpoints import Checkpoints
 from emrld_jax.runs.config import algorithm_settings, check_config, load_config
-from emrld_jax.runs.iteration import initial
+from emrld_jax.runs.iteration import Together, initial
+from emrld_jax.runs.machines import split_cpu
 from emrld_jax.runs.provenance import machine, software
-from emrld_jax.runs.setup import Setup, set_up
+from emrld_jax.runs.setup import Setup, set_up, with_config
 from emrld_jax.sampling.rollouts import collector, episode
 from emrld_jax.settings import setting
 from envs_jax import Env, State, names
@@ -49,33 +52,9 @@ class ThroughputConfig:
         "sparse", "dense: adaptation has to weigh every step from the start", choices=REWARDS
     )
     run: str | None = setting(None, "run folder whose parameters are taken; null: the first ones")
+    num_seeds: int = setting(1, "seeds trained side by side in one program", at_least=1)
+    devices: int = setting(1, "devices that share them; a CPU is split into as many", at_least=1)
     repetitions: int = setting(9, "of each measurement", at_least=2)
-
-
-class Row(NamedTuple):
-    """A measurement: what, in which unit, and a value a repetition."""
-
-    what: str
-    unit: str
-    values: list[float]
-
-
-def seconds(call: Callable[[], Any], repetitions: int) -> np.ndarray:
-    """Wall-clock times of a call, after one that compiles and one that warms up."""
-    times = []
-    for _ in range(repetitions + 2):
-        began = time.perf_counter()
-        jax.block_until_ready(call())
-        times.append(time.perf_counter() - began)
-    return np.array(times[2:])
-
-
-def rate(what: str, unit: str, amount: float, times: np.ndarray) -> Row:
-    return Row(what, unit, [float(amount / t) for t in times])
-
-
-def duration(what: str, times: np.ndarray) -> Row:
-    return Row(what, "ms", [float(1e3 * t) for t in times])
 
 
 class Bench:
@@ -95,11 +74,21 @@ class Bench:
         return algorithms.make(self.setup.config.algo, self.setup.env, settings)
 
     def matrix_rate(self) -> Row:
-        """A product of the hidden layer's shape, over as many steps as an iteration has."""
+        """Batched products of the hidden layer: forward, back to its input, and of its weights.
+
+        With a product for each task, over as many steps as an iteration has.
+        """
         wide = max(self.setup.config.policy.hidden_sizes)
-        a, b = jnp.ones((self.steps, wide)), jnp.ones((wide, wide))
-        times = seconds(lambda: _product(a, b), 4 * self.repetitions)
-        return rate("matrix product of these shapes", "GFLOP/s", 2e-9 * a.size * wide, times)
+        steps = jnp.ones((self.tasks, self.steps // self.tasks, wide))
+        weights = jnp.ones((self.tasks, wide, wide))
+        flops = 2 * steps.size * wide * len(_PRODUCTS)
+        times = [seconds(lambda f=f: f(steps, weights), 2 * self.repetitions) for f in _PRODUCTS]
+        return rate(
+            "batched matrix products of these shapes",
+            "GFLOP/s",
+            1e-9 * flops,
+            sum(times[1:], times[0]),
+        )
 
     def rollouts(self) -> list[Row]:
         """Environment steps a second, episodes of full length."""
@@ -148,42 +137,73 @@ class Bench:
         meta = self.setup.config.meta
         whole, metrics, first = self._iteration()
         few, _, _ = self._iteration(cg_iterations=1)
-        exact, _, _ = self._iteration(fisher_every=1)
         product = (np.median(whole) - np.median(few)) / (meta.cg_iterations - 1)
         tries = int(metrics["outer/line_search_tries"])
-        gather = jax.jit(self.setup.learner.programs.gather)
-        collecting = seconds(lambda: gather(*self._arguments()), self.repetitions)
+        collecting = seconds(lambda: self._gather()(*self._arguments()), self.repetitions)
         rest = np.median(whole) - np.median(collecting) - meta.cg_iterations * product
         return [
             Row("compiling, and one meta-iteration", "ms", [1e3 * first]),
             duration("one meta-iteration", whole),
+            rate("meta-iterations", "1/s", 1, whole),
             duration("  collecting and adapting, twice", collecting),
             duration(f"  one of {meta.cg_iterations} Fisher-vector products", np.array([product])),
             duration(f"  the rest: gradient, {tries} tries of the line search", np.array([rest])),
-            duration("one meta-iteration, products on every step", exact),
         ]
 
-    def matrix_share(self, peak: Row) -> list[Row]:
-        """FLOPs of the matrix products in a meta-step's program, and their rate."""
-        learner = self.setup.learner
-        experience, _ = jax.jit(learner.programs.gather)(*self._arguments())
-        sizes = bucket_sizes(experience)
-        _, metrics = learner.update(self.state, KEY, self.part.tasks, self.part.demos)
-        trips = [self.setup.config.meta.cg_iterations, int(metrics["outer/line_search_tries"])]
+    def matrix_share(self, peak: Row, what: str, **meta: Any) -> list[Row]:
+        """A meta-step's time, and the FLOPs of the matrix products in its program and their rate.
+
+        The rate counts all of the meta-step's time, whatever it is spent on.
+        """
+        learner = self.learner(**meta)
+        experience, needed, _ = self._gather()(*self._arguments())
+        sizes = bucket_sizes(experience, needed)
+        demos = self.part.demos
 
         def improve(state: MetaState, experience: Any) -> Any:
-            return learner.programs.improve(state, experience, self.part.demos, sizes)
+            return learner.programs.improve(state, experience, demos, sizes, None)
 
-        flops = matrix_flops(improve, self.state, experience, trips=trips)
         program = jax.jit(improve)
         times = seconds(lambda: program(self.state, experience), self.repetitions)
-        reached = rate("matrix products of the meta-step", "GFLOP/s", 1e-9 * flops, times)
+        _, metrics = program(self.state, experience)
+        trips = [self.setup.config.meta.cg_iterations, int(metrics["outer/line_search_tries"])]
+        flops = matrix_flops(improve, self.state, experience, trips=trips)
+        reached = rate("  matrix products", "GFLOP/s", 1e-9 * flops, times)
         share = np.median(reached.values) / np.median(peak.values)
         return [
-            Row("FLOPs of the meta-step's matrix products", "GFLOP", [1e-9 * flops]),
-            reached,
-            Row("  of the rate above", "%", [100 * float(share)]),
+            duration(f"meta-step, products on {what}", times),
+            Row("  FLOPs of its matrix products", "GFLOP", [1e-9 * flops]),
+            reached._replace(what=f"  their rate, {what}"),
+            Row(f"  of the rate of batched products, {what}", "%", [100 * float(share)]),
         ]
+
+    def side_by_side(self, num_seeds: int, devices: int) -> list[Row]:
+        """Meta-iterations of seeds in one program, all at the same parameters."""
+        configs = [replace(self.setup.config, seed=seed) for seed in range(num_seeds)]
+        setups = [with_config(self.setup, config) for config in configs]
+        together = Together(setups, jax.devices()[:devices])
+        own = [initial(setup)._replace(state=self.state) for setup in setups]
+        standing = together.begin(own)
+        times = seconds(lambda: together.iterate(standing)[0].states, self.repetitions)
+        what = f"{num_seeds} seed(s) on {devices} device(s)"
+        return [
+            duration(f"one meta-iteration of {what}", times),
+            duration("  for each seed", times / num_seeds),
+            rate("  environment steps, all included", "million/s", self._both(num_seeds), times),
+        ]
+
+    def _both(self, num_seeds: int) -> float:
+        """Millions of environment steps before and after adaptation."""
+        return 2e-6 * self.steps * num_seeds
+
+    def _gather(self) -> Any:
+        gather = self.setup.learner.programs.gather
+
+        def of_tasks(params: Any, key: jax.Array, tasks: Any, demos: Any) -> Any:
+            return gather(params, jax.random.split(key, self.tasks), tasks, demos, None)
+
+        self._gathering = getattr(self, "_gathering", None) or jax.jit(of_tasks)
+        return self._gathering
 
     def _arguments(self) -> tuple[Any, ...]:
         return self.state.params, KEY, self.part.tasks, self.part.demos
@@ -199,8 +219,21 @@ class Bench:
 
 
 @jax.jit
-def _product(a: jax.Array, b: jax.Array) -> jax.Array:
-    return a @ b
+def _forward(steps: jax.Array, weights: jax.Array) -> jax.Array:
+    return jnp.einsum("msi,mij->msj", steps, weights)
+
+
+@jax.jit
+def _back(steps: jax.Array, weights: jax.Array) -> jax.Array:
+    return jnp.einsum("msj,mij->msi", steps, weights)
+
+
+@jax.jit
+def _of_weights(steps: jax.Array, weights: jax.Array) -> jax.Array:
+    return jnp.einsum("msi,msj->mij", steps, steps)
+
+
+_PRODUCTS = (_forward, _back, _of_weights)
 
 
 def _random_walk(env: Env, key: jax.Array, task: Any) -> jax.Array:
@@ -230,30 +263,27 @@ def _setup_and_state(config: ThroughputConfig) -> tuple[Setup, MetaState]:
     return setup, restored.state
 
 
-def table(rows: list[Row]) -> str:
-    """The rows as Markdown."""
-    lines = ["| what | median | range | |", "|---|---|---|---|"]
-    for row in rows:
-        span = f"{min(row.values):.4g} to {max(row.values):.4g}" if len(row.values) > 1 else ""
-        lines.append(f"| {row.what} | {np.median(row.values):.4g} | {span} | {row.unit} |")
-    return "\n".join(lines)
-
-
 def main() -> int:
     """Measures and writes the table."""
     values = cli.parse(sys.argv[1:], ThroughputConfig(), {})
     config = cli.updated(ThroughputConfig(), values)
     check_config(config)
     jax.config.update("jax_enable_compilation_cache", False)  # compiling is measured too
+    if config.devices > 1:
+        split_cpu(config.devices)
     bench = Bench(config)
     peak = bench.matrix_rate()
+    every = bench.setup.config.meta.fisher_every
     rows = [
         peak,
         *bench.rollouts(),
         bench.adaptations(),
         *bench.iterations(),
-        *bench.matrix_share(peak),
+        *bench.matrix_share(peak, f"1 of {every} steps"),
+        *bench.matrix_share(peak, "every step", fisher_every=1),
+        *bench.side_by_side(config.num_seeds, config.devices),
         Row("peak memory of the process", "MiB", [_peak_memory()]),
+        *start_up([f"env={config.env}", f"algo={config.algo}", f"demos={config.demos}"]),
     ]
     record = {
         "command": shlex.join(["python", "-m", "benchmarks.throughput", *sys.argv[1:]]),
@@ -262,7 +292,8 @@ def main() -> int:
         "rows": [row._asdict() for row in rows],
     }
     where = "trained" if config.run else config.reward
-    write_record(f"throughput-{bench.setup.config.env.name}-{where}", record, table(rows))
+    seeds = f"-seeds{config.num_seeds}" * (config.num_seeds > 1)
+    write_record(f"throughput-{bench.setup.config.env.name}-{where}{seeds}", record, table(rows))
     return 0
 
 

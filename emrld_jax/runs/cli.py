@@ -275,6 +275,7 @@ def _resumed(values: Values) -> TrainConfig:
     Of several that began together it is that of the first; they differ in seeds and numbers.
     """
     directory = values["resume"]
+    config = load_config(run_folders(Path(directory))[0] / "config.yaml")
     allowed = (*RESUMABLE, *PLACES)
     for key in values:
         if key not in (*allowed, "resume"):
@@ -282,4 +283,4 @@ def _resumed(values: Values) -> TrainConfig:
                 f"{key} cannot be changed along with resume={directory}: the run continues as it "
                 f"was; allowed: {', '.join(allowed)}"
             )
-    return updated(load_config(run_folders(Path(directory))[0] / "config.yaml"), values)
+    return updated(config, values)

@@ -12,6 +12,8 @@ from pathlib import Path
 
 from emrld_jax.runs.config import ConfigError, TrainConfig
 
+DEPTH = 3  # levels below a folder that runs which began together are looked for
+
 
 class RunFolder:
     """The files of one run."""
@@ -56,12 +58,13 @@ class RunFolder:
 
 
 def run_folders(directory: Path) -> list[Path]:
-    """The run folder that this is, or those somewhere below it, in the order of their names."""
-    if directory.is_dir() and not (directory / "config.yaml").is_file():
-        inside = (path.parent for path in directory.rglob("checkpoints") if path.is_dir())
-        below = sorted((p for p in inside if (p / "config.yaml").is_file()), key=_by_numbers)
-        return below or [directory]
-    return [directory]
+    """The run folder that this is, or those up to DEPTH levels below it, by name."""
+    if (directory / "config.yaml").is_file():
+        return [directory]
+    patterns = ("*/" * depth + "config.yaml" for depth in range(1, DEPTH + 1))
+    found = [path.parent for pattern in patterns for path in directory.glob(pattern)]
+    runs = (path for path in found if (path / "checkpoints").is_dir())
+    return sorted(runs, key=_by_numbers) or [directory]
 
 
 def _by_numbers(path: Path) -> list[tuple[float, str]]:

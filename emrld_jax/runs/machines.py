@@ -28,7 +28,7 @@ def join(config: TrainConfig) -> list[jax.Device]:
         ConfigError: there are not as many devices, or the processes did not meet in time.
     """
     if config.devices not in ("all", "1"):
-        _split_cpu(int(config.devices))
+        split_cpu(int(config.devices))
     if config.distributed.num_processes > 1:
         _meet(config)
     if config.devices == "all":
@@ -87,7 +87,7 @@ def _processes() -> range:
     return range(jax.process_count())
 
 
-def _split_cpu(parts: int) -> None:
+def split_cpu(parts: int) -> None:
     """Lets JAX see a CPU as so many devices, if it is what JAX computes on."""
     if "xla_force_host_platform_device_count" in os.environ.get("XLA_FLAGS", ""):
         return
