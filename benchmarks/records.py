@@ -11,8 +11,12 @@ from emrld_jax.runs.files import write_json, write_text
 RESULTS = Path(__file__).parent / "results"
 
 
-def write_record(name: str, record: dict[str, Any], text: str) -> None:
-    """Prints and writes a Markdown table, and beside it a record as JSON; overwrites nothing."""
+def write_record(name: str, record: dict[str, Any], text: str) -> Path:
+    """Prints and writes a Markdown table, and beside it a record as JSON; overwrites nothing.
+
+    Returns:
+        Their path without an ending.
+    """
     RESULTS.mkdir(exist_ok=True)
     first = f"{name}-{datetime.now(UTC):%Y-%m-%d}"
     stems = (first, *(f"{first}_{i}" for i in range(2, 1000)))
@@ -20,3 +24,4 @@ def write_record(name: str, record: dict[str, Any], text: str) -> None:
     write_json(out.with_suffix(".json"), record)
     write_text(out.with_suffix(".md"), text + "\n")
     print(f"{text}\nwrote {out}.json and .md")
+    return out

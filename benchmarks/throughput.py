@@ -82,13 +82,9 @@ class Bench:
         steps = jnp.ones((self.tasks, self.steps // self.tasks, wide))
         weights = jnp.ones((self.tasks, wide, wide))
         flops = 2 * steps.size * wide * len(_PRODUCTS)
-        times = [seconds(lambda f=f: f(steps, weights), 2 * self.repetitions) for f in _PRODUCTS]
-        return rate(
-            "batched matrix products of these shapes",
-            "GFLOP/s",
-            1e-9 * flops,
-            sum(times[1:], times[0]),
-        )
+        calls = [partial(product, steps, weights) for product in _PRODUCTS]
+        times = np.sum([seconds(call, 2 * self.repetitions) for call in calls], axis=0)
+        return rate("batched matrix products of these shapes", "GFLOP/s", 1e-9 * flops, times)
 
     def rollouts(self) -> list[Row]:
         """Environment steps a second, episodes of full length."""

@@ -11,11 +11,12 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from functools import partial
 from math import gcd
-from typing import Any
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jax.flatten_util import ravel_pytree
 from jax.sharding import Mesh, NamedSharding
 from jax.sharding import PartitionSpec as P
 
@@ -27,9 +28,6 @@ from emrld_jax.types import Demos, Params, Task
 LEARNERS, TASKS = "learners", "tasks"  # the axes of a mesh
 
 Values = Mapping[str, Any]  # a number for each setting that learners differ in, or numbers [K]
-
-# (states [K], keys [K], values [K], tasks [M], demos [M]): one meta-iteration of each learner
-UpdateAll = Callable[[MetaState, jax.Array, Values, Task, Demos], tuple[MetaState, Metrics]]
 
 
 def make_mesh(devices: Sequence[jax.Device], learners: int, tasks: int) -> Mesh:
@@ -70,10 +68,19 @@ def _place(tree: Any, sharding: NamedSharding) -> Any:
     return jax.tree.map(place, tree)
 
 
-def side_by_side(programs_of: Callable[[Values], Programs], mesh: Mesh) -> UpdateAll:
-    """A compiled meta-iteration of K learners on a mesh.
+class SideBySide(NamedTuple):
+    """K learners on a mesh."""
 
-    Its results are on every device, so that any process can save them whatever becomes of others.
+    # (states [K], keys [K], values [K], tasks [M], demos [M]): one meta-iteration of each
+    update: Callable[[MetaState, jax.Array, Values, Task, Demos], tuple[MetaState, Metrics]]
+    # the same arguments: the two programs that these arguments lead to, to be looked at
+    compiled: Callable[[MetaState, jax.Array, Values, Task, Demos], list[jax.stages.Compiled]]
+
+
+def side_by_side(programs_of: Callable[[Values], Programs], mesh: Mesh) -> SideBySide:
+    """Compiled meta-iterations of K learners on a mesh.
+
+    Results are on every device, so that any process can save them whatever becomes of others.
 
     Args:
         programs_of: the halves of a meta-iteration with these values, which may be traced.
@@ -90,7 +97,15 @@ def side_by_side(programs_of: Callable[[Values], Programs], mesh: Mesh) -> Updat
         states, outer = improve(states, values, experience, demos, sizes)
         return states, {**metrics, **outer}
 
-    return update
+    def compiled(
+        states: MetaState, keys: jax.Array, values: Values, tasks: Task, demos: Demos
+    ) -> list[jax.stages.Compiled]:
+        first = gather.lower(states.params, keys, values, tasks, demos).compile()
+        experience, needed, _ = first(states.params, keys, values, tasks, demos)
+        sizes = bucket_sizes(experience, needed)
+        return [first, improve.lower(states, values, experience, demos, sizes).compile()]
+
+    return SideBySide(update, compiled)
 
 
 def _gather(
@@ -148,4 +163,8 @@ def _improve(
 
 
 def _everywhere(tree: Any, mesh: Mesh) -> Any:
-    return jax.lax.with_sharding_constraint(tree, NamedSharding(mesh, P()))
+    """A tree with a leading [K], put on all devices; packed, so that it is one message."""
+    _, unpack = ravel_pytree(jax.tree.map(lambda leaf: leaf[0], tree))
+    packed = jax.vmap(lambda own: ravel_pytree(own)[0])(tree)
+    packed = jax.lax.with_sharding_constraint(packed, NamedSharding(mesh, P()))
+    return jax.vmap(unpack)(packed)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from functools import cached_property
+from typing import Any
 
 import jax
 import numpy as np
@@ -76,7 +77,7 @@ class Together:
         self._mesh, self._values = mesh, replicate(values, mesh)
         self._tasks, self._demos = share_tasks((part.tasks, part.demos), mesh)
         self._episodes = tasks * shared.config.adapt.num_episodes
-        self._update = side_by_side(lambda own: learner_with(shared, own).programs, mesh)
+        self._programs = side_by_side(lambda own: learner_with(shared, own).programs, mesh)
 
     def begin(self, runs: Sequence[Progressed]) -> Standing:
         """Runs, each where it stands, put on the devices. They have done as many iterations."""
@@ -92,15 +93,25 @@ class Together:
             DivergenceError: a metric or a parameter is not finite.
         """
         i = standing.iteration
-        keys = replicate(standing.keys, self._mesh)
-        states, arrays = self._update(
-            standing.states, _iteration_keys(keys, i), self._values, self._tasks, self._demos
-        )
+        states, arrays = self._programs.update(*self._arguments(standing))
         metrics = _by_run(jax.device_get(arrays))
         _check_finite(i, metrics)
         before = zip(standing.env_steps, metrics, strict=True)
         env_steps = [steps + self._steps(own) for steps, own in before]
         return Standing(states, standing.keys, i + 1, env_steps), metrics
+
+    @property
+    def shape(self) -> dict[str, int]:
+        """How many devices share the learners, and how many the tasks of each."""
+        return dict(self._mesh.shape)
+
+    def compiled(self, standing: Standing) -> list[jax.stages.Compiled]:
+        """The programs of the next meta-iteration, for who wants to know what they need."""
+        return self._programs.compiled(*self._arguments(standing))
+
+    def _arguments(self, standing: Standing) -> tuple[Any, ...]:
+        keys = _iteration_keys(replicate(standing.keys, self._mesh), standing.iteration)
+        return standing.states, keys, self._values, self._tasks, self._demos
 
     def _steps(self, metrics: dict[str, float]) -> int:
         """Environment steps of an iteration."""

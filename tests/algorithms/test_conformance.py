@@ -150,9 +150,9 @@ def test_learners_side_by_side_do_what_each_does_alone(name: str) -> None:
     one = learner(name)
     states = [jax.tree.map(jnp.float64, one.init(jax.random.key(seed))) for seed in range(2)]
     mesh = make_mesh(jax.devices()[:1], learners=2, tasks=3)
-    update_all = side_by_side(lambda v: learner.__wrapped__(name, **v).programs, mesh)
+    both = side_by_side(lambda v: learner.__wrapped__(name, **v).programs, mesh)
     values = {"learning_rate": np.array(rates)}
-    together, metrics = update_all(stacked(states), keys, values, NEAR, DEMOS)
+    together, metrics = both.update(stacked(states), keys, values, NEAR, DEMOS)
     for k, state in enumerate(states):
         alone = learner(name, learning_rate=rates[k])
         own, own_metrics = alone.update(state, keys[k], NEAR, DEMOS)
