@@ -166,16 +166,22 @@ def pair(environment: dict[str, str], start: tuple[str, ...], tmp_path: Path) ->
         )
         for i in range(2)
     ]
-    checkpoints = tmp_path / "point2d" / "emrld-lines" / "seed1" / "checkpoints"
+    try:
+        _wait_for_checkpoint(tmp_path / "point2d" / "emrld-lines" / "seed1", processes)
+        yield processes
+    finally:
+        for process in processes:
+            process.kill()
+            process.communicate()
+
+
+def _wait_for_checkpoint(folder: Path, processes: Pair) -> None:
+    """Returns once there is one of a later iteration than the first."""
     deadline = time.monotonic() + 120
-    while not (checkpoints.is_dir() and any(int(p.name) > 1 for p in checkpoints.glob("[0-9]*"))):
+    while not any(p.name.isdecimal() and int(p.name) > 1 for p in folder.glob("checkpoints/*")):
         assert time.monotonic() < deadline, "no checkpoint in time"
         assert all(process.poll() is None for process in processes)
         time.sleep(0.01)
-    yield processes
-    for process in processes:
-        process.kill()
-        process.communicate()
 
 
 def test_a_lost_process_ends_the_other_and_the_runs_go_on(

@@ -1,0 +1,136 @@
+"""What more processes and more seeds a program bring, on the cores of this machine.
+
+`python -m benchmarks.scaling env=point2d` trains the same few meta-iterations in several ways:
+one run or many, in one process, in processes that share the work, and as a process a run.
+"""
+
+from __future__ import annotations
+
+import os
+import shlex
+import subprocess
+import sys
+import tempfile
+import time
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from benchmarks.jobs import Job, run_all
+from benchmarks.records import write_record
+from emrld_jax import algorithms
+from emrld_jax.demos.shipped import QUALITIES
+from emrld_jax.runs import cli
+from emrld_jax.runs.config import check_config
+from emrld_jax.runs.provenance import machine, software
+from emrld_jax.settings import setting
+from envs_jax import names
+from envs_jax.base import REWARDS
+
+
+@dataclass
+class ScalingConfig:
+    """All settings of the measurement."""
+
+    env: str = setting("point2d", "the environment", choices=names())
+    algo: str = setting("emrld", "the algorithm", choices=algorithms.names())
+    demos: str = setting("optimal", "the shipped demonstrations", choices=QUALITIES)
+    reward: str = setting("sparse", "dense: adaptation weighs every step", choices=REWARDS)
+    num_seeds: int = setting(8, "runs, where there are many", at_least=2)
+    iterations: int = setting(40, "meta-iterations of each", at_least=10)
+
+
+class Way(NamedTuple):
+    """How runs are carried out."""
+
+    seeds: int
+    processes: int  # that share the work; 0: a process a run, one a core
+    words: str
+
+
+class Measured(NamedTuple):
+    """What a way took."""
+
+    way: Way
+    iteration_s: float  # median of the later half, of all runs that advance together
+    seed_s: float  # s an iteration and seed, with all cores at work
+    wall_s: float  # from the command to the end of the last run, with start and compilation
+
+
+def ways(config: ScalingConfig, cores: int) -> list[Way]:
+    """Strong scaling of a run and of many, weak scaling with seeds, and a process a run."""
+    many = config.num_seeds
+    return [
+        Way(1, 1, "one run, one process"),
+        Way(1, cores, f"one run, its tasks shared by {cores} processes"),
+        Way(many // cores, 1, "some runs, one process"),
+        Way(many, 1, "many runs, one process"),
+        Way(many, cores, f"many runs shared by {cores} processes"),
+        Way(many, 0, f"a process a run, {cores} at a time, each on a core of its own"),
+    ]
+
+
+def measure(config: ScalingConfig, way: Way, cores: int) -> Measured:
+    """Trains in this way, with programs that are not compiled yet."""
+    more = (
+        f"env.reward={config.reward}",
+        f"meta.iterations={config.iterations}",
+        "evaluation_episodes=1",
+    )
+    with tempfile.TemporaryDirectory() as folder:
+        os.environ["JAX_COMPILATION_CACHE_DIR"] = f"{folder}/compiled"
+        together = (f"num_seeds={way.seeds}", f"processes={way.processes}") if way.processes else ()
+        seeds = range(1 if way.processes else way.seeds)
+        place = (Path(folder), config.env, config.demos, config.algo)
+        jobs = [Job(*place, seed, (*more, *together)) for seed in seeds]
+        began = time.perf_counter()
+        if way.processes:
+            _run(jobs[0])
+        else:
+            run_all(jobs)
+        wall = time.perf_counter() - began
+        times = [[record["time/iteration_s"] for record in job.metrics()] for job in jobs]
+    iteration = float(np.median([t[len(t) // 2 :] for t in times]))
+    at_once = way.seeds if way.processes else min(cores, way.seeds)
+    return Measured(way, iteration, iteration / at_once, wall)
+
+
+def _run(job: Job) -> None:
+    """One command on all cores."""
+    subprocess.run(job.command(), check=True, stdout=subprocess.DEVNULL)
+
+
+def table(found: list[Measured]) -> str:
+    """The rows as Markdown."""
+    lines = ["| | runs | ms an iteration | ms an iteration and run | s in all |"]
+    lines += ["|---|---|---|---|---|"]
+    for way, iteration, seed, wall in found:
+        cells = f"{1e3 * iteration:.0f} | {1e3 * seed:.0f} | {wall:.0f}"
+        lines.append(f"| {way.words} | {way.seeds} | {cells} |")
+    return "\n".join(lines)
+
+
+def main() -> int:
+    """Measures and writes."""
+    config = cli.updated(ScalingConfig(), cli.parse(sys.argv[1:], ScalingConfig(), {}))
+    check_config(config)
+    cores = len(os.sched_getaffinity(0))
+    found = []
+    for way in ways(config, cores):
+        found.append(measure(config, way, cores))
+        print(way.words, f"{1e3 * found[-1].seed_s:.0f} ms an iteration and run", flush=True)
+    rows: list[dict[str, Any]] = [{**m._asdict(), "way": m.way._asdict()} for m in found]
+    record = {
+        "command": shlex.join(["python", "-m", "benchmarks.scaling", *sys.argv[1:]]),
+        **software(),
+        "machine": machine(),
+        "rows": rows,
+    }
+    write_record(f"scaling-{config.env}-{config.reward}", record, table(found))
+    return 0
+
+
+if __name__ == "__main__":
+    cli.run_command(main)
