@@ -10,7 +10,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from benchmarks import ablation, compare, targets
+from benchmarks import ablation, communication, compare, growth, targets
 from benchmarks.flops import matrix_flops
 from benchmarks.jobs import Job
 
@@ -72,3 +72,42 @@ def test_a_comparison_shows_ratios_of_what_both_have() -> None:
     a = {"rows": [{"what": "x", "unit": "ms", "values": [2.0, 4.0, 3.0]}]}
     b = {"rows": [{"what": "x", "unit": "ms", "values": [6.0]}, {"what": "y", "values": [1]}]}
     assert compare.table(a, b).splitlines()[2:] == ["| x | 3 | 6 | 2.00 | ms |"]
+
+
+PROGRAM = """
+HloModule told
+
+%sum (a: f32[], b: f32[]) -> f32[] {
+  ROOT %s = f32[] add(%a, %b)
+}
+
+%product (c: (s32[], f32[10])) -> (s32[], f32[10]) {
+  %v = f32[10]{0} all-reduce(%x), replica_groups={{0,1}}, to_apply=%sum
+}
+
+%learner (c: (s32[], f32[10])) -> (s32[], f32[10]) {
+  %w = (s32[], f32[10]) while(%i), condition=%goes_on, body=%product
+  %own = f32[100]{0} all-reduce(%x), replica_groups={{0},{1}}, to_apply=%sum
+}
+
+ENTRY %main (p: f32[10]) -> f32[3,20] {
+  %l = (s32[], f32[10]) while(%t), condition=%c, body=%learner, {"known_trip_count":{"n":"4"}}
+  %pair = (f32[], f32[7]{0}) all-reduce(%x, %y), replica_groups=[1,2]<=[2], to_apply=%sum
+  ROOT %g = f32[3,20]{1,0} all-gather(%z), replica_groups={{0,1}}, dimensions={0}
+}
+"""
+
+
+def test_what_a_program_tells_is_counted_with_its_loops() -> None:
+    """4 learners of 3 products each; a group of one device is nobody to tell."""
+    told = communication.count(PROGRAM, lambda inside: 3)
+    assert told == {
+        ("all-reduce", 40): 4 * 3,
+        ("all-reduce", 4 + 28): 1,
+        ("all-gather", 240): 1,
+    }
+
+
+def test_a_fitted_slope_is_the_exponent() -> None:
+    rows = [{"value": x, "seconds": [0.5 * x**1.5] * 2} for x in (2, 4, 8, 16)]
+    np.testing.assert_allclose(growth.slope(rows), 1.5)

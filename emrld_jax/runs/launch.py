@@ -55,6 +55,8 @@ def launch(arguments: Sequence[str], processes: int) -> int:
 
 def _shares(processes: int) -> list[set[int]]:
     """The cores of each process, as equal as they can be."""
+    if not hasattr(os, "sched_getaffinity"):
+        raise ConfigError(f"processes={processes} needs Linux, which can bind processes to cores")
     cores = sorted(os.sched_getaffinity(0))
     if processes > len(cores):
         raise ConfigError(
