@@ -29,7 +29,8 @@ from emrld_jax.runs.setup import set_up, with_config
 from emrld_jax.settings import setting
 from envs_jax import names
 
-_COLLECTIVE = re.compile(r" = (.*?) (all-reduce|all-gather|all-to-all|collective-permute)\(")
+_KINDS = "all-reduce|all-gather|all-to-all|collective-permute"
+_COLLECTIVE = re.compile(rf" = (.*?) ({_KINDS})(?:-start)?\(")
 _OF_ONE = re.compile(r"replica_groups=(\{\{\d+\}|\[\d+,1\])")  # groups of one device
 _ARRAY = re.compile(r"(f32|s32|u32|pred|f64|s64)\[([\d,]*)\]")
 _BYTES = {"f32": 4, "s32": 4, "u32": 4, "pred": 1, "f64": 8, "s64": 8}
@@ -47,7 +48,7 @@ class CommunicationConfig:
     num_seeds: int = setting(1, "seeds trained side by side", at_least=1)
     devices: int = setting(4, "devices that share the work", at_least=2)
     tries: int = setting(3, "tries of the line search", at_least=1)
-    latency_us: float = setting(10.0, "us that a collective takes at least", above=0)
+    latency_us: float = setting(5.0, "us that a message takes from a device to the next", above=0)
     rate: float = setting(100.0, "GB/s that a device sends", above=0)
 
 
@@ -118,8 +119,9 @@ def main() -> int:
     told: Told = sum((count(str(program.as_text()), trips) for program in programs), Counter())
     operations = sum(told.values())
     size = sum(number * bytes_ for (_, bytes_), number in told.items())
-    # a ring moves nearly twice the array through each device's link in an all-reduce
-    seconds = 1e-6 * config.latency_us * operations + 2 * size / (1e9 * config.rate)
+    # in a ring of n devices an array goes around twice, in n parts, one step after the other
+    steps = 2 * (max(together.shape.values()) - 1)
+    seconds = 1e-6 * config.latency_us * steps * operations + 2 * size / (1e9 * config.rate)
     predicted = f"predicted ms, at {config.latency_us:g} us and {config.rate:g} GB/s"
     rows = {
         "collective operations": f"{operations}",

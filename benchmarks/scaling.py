@@ -23,8 +23,10 @@ from benchmarks.records import write_record
 from emrld_jax import algorithms
 from emrld_jax.demos.shipped import QUALITIES
 from emrld_jax.runs import cli
-from emrld_jax.runs.config import check_config
+from emrld_jax.runs.config import ConfigError, check_config
+from emrld_jax.runs.launch import HUGE_PAGES
 from emrld_jax.runs.provenance import machine, software
+from emrld_jax.runs.setup import set_up
 from emrld_jax.settings import setting
 from envs_jax import names
 from envs_jax.base import REWARDS
@@ -99,7 +101,8 @@ def measure(config: ScalingConfig, way: Way, cores: int) -> Measured:
 
 def _run(job: Job) -> None:
     """One command on all cores."""
-    subprocess.run(job.command(), check=True, stdout=subprocess.DEVNULL)
+    environment = HUGE_PAGES | os.environ  # as all ways that start several processes have it
+    subprocess.run(job.command(), check=True, stdout=subprocess.DEVNULL, env=environment)
 
 
 def table(found: list[Measured]) -> str:
@@ -117,6 +120,12 @@ def main() -> int:
     config = cli.updated(ScalingConfig(), cli.parse(sys.argv[1:], ScalingConfig(), {}))
     check_config(config)
     cores = len(os.sched_getaffinity(0))
+    tasks = set_up(cli.train_config([f"env={config.env}"])).demos.train.demos.mask.shape[0]
+    if tasks % cores or config.num_seeds % cores:
+        raise ConfigError(
+            f"{cores} cores do not divide {tasks} tasks and num_seeds={config.num_seeds} evenly; "
+            "bind the command to fewer cores (taskset)"
+        )
     found = []
     for way in ways(config, cores):
         found.append(measure(config, way, cores))

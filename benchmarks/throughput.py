@@ -11,14 +11,14 @@ import shlex
 import sys
 import time
 from dataclasses import dataclass, replace
-from functools import partial
+from functools import cached_property, partial
 from pathlib import Path
 from typing import Any
 
 import jax
-import jax.numpy as jnp
 import numpy as np
 
+from benchmarks.basics import matrix_rate, rollouts
 from benchmarks.flops import matrix_flops
 from benchmarks.records import write_record
 from benchmarks.startup import start_up
@@ -28,17 +28,16 @@ from emrld_jax.demos.shipped import QUALITIES
 from emrld_jax.meta.learner import MetaLearner, MetaState, bucket_sizes
 from emrld_jax.runs import cli
 from emrld_jax.runs.checkpoints import Checkpoints
-from emrld_jax.runs.config import algorithm_settings, check_config, load_config
+from emrld_jax.runs.config import ConfigError, algorithm_settings, check_config
 from emrld_jax.runs.iteration import Together, initial
 from emrld_jax.runs.machines import split_cpu
 from emrld_jax.runs.provenance import machine, software
+from emrld_jax.runs.saved import load_config
 from emrld_jax.runs.setup import Setup, set_up, with_config
-from emrld_jax.sampling.rollouts import collector, episode
+from emrld_jax.sampling.rollouts import collector
 from emrld_jax.settings import setting
-from envs_jax import Env, State, names
+from envs_jax import names
 from envs_jax.base import REWARDS
-
-KEY = jax.random.key(0)
 
 
 @dataclass
@@ -62,6 +61,7 @@ class Bench:
 
     def __init__(self, config: ThroughputConfig) -> None:
         self.setup, self.state = _setup_and_state(config)
+        self.key = jax.random.key(0)
         self.part, self.repetitions = self.setup.demos.train, config.repetitions
         self.adapt = self.setup.config.adapt
         self.tasks = self.part.demos.mask.shape[0]
@@ -72,45 +72,6 @@ class Bench:
         settings = algorithm_settings(self.setup.config)
         settings = replace(settings, meta=replace(settings.meta, **meta))
         return algorithms.make(self.setup.config.algo, self.setup.env, settings)
-
-    def matrix_rate(self) -> Row:
-        """Batched products of the hidden layer: forward, back to its input, and of its weights.
-
-        With a product for each task, over as many steps as an iteration has.
-        """
-        wide = max(self.setup.config.policy.hidden_sizes)
-        steps = jnp.ones((self.tasks, self.steps // self.tasks, wide))
-        weights = jnp.ones((self.tasks, wide, wide))
-        flops = 2 * steps.size * wide * len(_PRODUCTS)
-        calls = [partial(product, steps, weights) for product in _PRODUCTS]
-        times = np.sum([seconds(call, 2 * self.repetitions) for call in calls], axis=0)
-        return rate("batched matrix products of these shapes", "GFLOP/s", 1e-9 * flops, times)
-
-    def rollouts(self) -> list[Row]:
-        """Environment steps a second, episodes of full length."""
-        env, policy = self.setup.env, self.setup.learner.policy
-        keys = jax.random.split(KEY, (self.tasks, self.adapt.num_episodes))
-
-        @jax.jit
-        def physics(keys: jax.Array) -> Any:
-            return jax.vmap(lambda task, own: jax.vmap(lambda k: _random_walk(env, k, task))(own))(
-                self.part.tasks, keys
-            )
-
-        @jax.jit
-        def acting(keys: jax.Array) -> Any:
-            one = lambda k, task: episode(env, policy, self.state.params, k, task)  # noqa: E731
-            return jax.vmap(lambda task, own: jax.vmap(lambda k: one(k, task))(own))(
-                self.part.tasks, keys
-            )
-
-        return [
-            rate(f"environment steps, {what}", "million/s", 1e-6 * self.steps, times)
-            for what, times in (
-                ("random actions", seconds(lambda: physics(keys), self.repetitions)),
-                ("with the policy", seconds(lambda: acting(keys), self.repetitions)),
-            )
-        ]
 
     def adaptations(self) -> Row:
         """Tasks adapted to, with the collecting of episodes."""
@@ -124,27 +85,50 @@ class Bench:
         def all_tasks(key: jax.Array, task: Any, demos: Any) -> Any:
             return learner.adapt(self.state.params, key, task, demos, collect).params
 
-        keys = jax.random.split(KEY, self.tasks)
+        keys = jax.random.split(self.key, self.tasks)
         times = seconds(lambda: all_tasks(keys, self.part.tasks, self.part.demos), self.repetitions)
         return rate("adaptations, with their episodes", "1/s", self.tasks, times)
 
     def iterations(self) -> list[Row]:
-        """A meta-iteration, and its parts by what it takes with more or fewer of them."""
+        """A meta-iteration and its parts: programs that leave out a part tell what it takes."""
         meta = self.setup.config.meta
         whole, metrics, first = self._iteration()
-        few, _, _ = self._iteration(cg_iterations=1)
-        product = (np.median(whole) - np.median(few)) / (meta.cg_iterations - 1)
+        few, _, _ = self._iteration(cg_iterations=max(1, meta.cg_iterations // 2))
+        left_out = meta.cg_iterations - max(1, meta.cg_iterations // 2)
+        product = (np.median(whole) - np.median(few)) / max(left_out, 1)
         tries = int(metrics["outer/line_search_tries"])
-        collecting = seconds(lambda: self._gather()(*self._arguments()), self.repetitions)
-        rest = np.median(whole) - np.median(collecting) - meta.cg_iterations * product
+        one = self._objective()
+        collecting = seconds(lambda: self.gather(*self._arguments()), self.repetitions)
+        gradient, trial = (seconds(partial(f, self.state.params), self.repetitions) for f in one)
         return [
             Row("compiling, and one meta-iteration", "ms", [1e3 * first]),
             duration("one meta-iteration", whole),
             rate("meta-iterations", "1/s", 1, whole),
             duration("  collecting and adapting, twice", collecting),
+            duration("  the loss and its gradient", gradient),
             duration(f"  one of {meta.cg_iterations} Fisher-vector products", np.array([product])),
-            duration(f"  the rest: gradient, {tries} tries of the line search", np.array([rest])),
+            duration(f"  one of {tries} tries of the line search", trial),
         ]
+
+    def _objective(self) -> tuple[Any, Any]:
+        """The outer loss with its gradient, and without, as compiled functions of parameters."""
+        programs, demos = self.setup.learner.programs, self.part.demos
+        experience, needed, _ = self.gather(*self._arguments())
+        sizes = bucket_sizes(experience, needed)
+
+        def loss(params: Any, experience: Any, old: Any) -> jax.Array:
+            objective = programs.objective(experience, demos, sizes, None, 1)
+            return objective.loss(objective.outputs(params), old)
+
+        def outputs(params: Any, experience: Any) -> Any:
+            return programs.objective(experience, demos, sizes, None, 1).outputs(params)
+
+        old = jax.jit(outputs)(self.state.params, experience)
+        gradient, value = jax.jit(jax.value_and_grad(loss)), jax.jit(loss)
+        return (
+            lambda params: gradient(params, experience, old),
+            lambda params: value(params, experience, old),
+        )
 
     def matrix_share(self, peak: Row, what: str, **meta: Any) -> list[Row]:
         """A meta-step's time, and the FLOPs of the matrix products in its program and their rate.
@@ -152,7 +136,7 @@ class Bench:
         The rate counts all of the meta-step's time, whatever it is spent on.
         """
         learner = self.learner(**meta)
-        experience, needed, _ = self._gather()(*self._arguments())
+        experience, needed, _ = self.gather(*self._arguments())
         sizes = bucket_sizes(experience, needed)
         demos = self.part.demos
 
@@ -177,6 +161,8 @@ class Bench:
         """Meta-iterations of seeds in one program, all at the same parameters."""
         configs = [replace(self.setup.config, seed=seed) for seed in range(num_seeds)]
         setups = [with_config(self.setup, config) for config in configs]
+        if len(jax.devices()) < devices:
+            raise ConfigError(f"devices={devices}: there are {len(jax.devices())}")
         together = Together(setups, jax.devices()[:devices])
         own = [initial(setup)._replace(state=self.state) for setup in setups]
         standing = together.begin(own)
@@ -192,55 +178,27 @@ class Bench:
         """Millions of environment steps before and after adaptation."""
         return 2e-6 * self.steps * num_seeds
 
-    def _gather(self) -> Any:
+    @cached_property
+    def gather(self) -> Any:
+        """The first half of a meta-iteration, compiled."""
         gather = self.setup.learner.programs.gather
 
         def of_tasks(params: Any, key: jax.Array, tasks: Any, demos: Any) -> Any:
             return gather(params, jax.random.split(key, self.tasks), tasks, demos, None)
 
-        self._gathering = getattr(self, "_gathering", None) or jax.jit(of_tasks)
-        return self._gathering
+        return jax.jit(of_tasks)
 
     def _arguments(self) -> tuple[Any, ...]:
-        return self.state.params, KEY, self.part.tasks, self.part.demos
+        return self.state.params, self.key, self.part.tasks, self.part.demos
 
     def _iteration(self, **meta: Any) -> tuple[np.ndarray, dict[str, Any], float]:
         """Times of an update, its metrics, and the time of the first, which compiles."""
         update = self.learner(**meta).update
-        arguments = (self.state, KEY, self.part.tasks, self.part.demos)
+        arguments = (self.state, self.key, self.part.tasks, self.part.demos)
         began = time.perf_counter()
         _, metrics = jax.block_until_ready(update(*arguments))
         first = time.perf_counter() - began
         return seconds(lambda: update(*arguments), self.repetitions), metrics, first
-
-
-@jax.jit
-def _forward(steps: jax.Array, weights: jax.Array) -> jax.Array:
-    return jnp.einsum("msi,mij->msj", steps, weights)
-
-
-@jax.jit
-def _back(steps: jax.Array, weights: jax.Array) -> jax.Array:
-    return jnp.einsum("msj,mij->msi", steps, weights)
-
-
-@jax.jit
-def _of_weights(steps: jax.Array, weights: jax.Array) -> jax.Array:
-    return jnp.einsum("msi,msj->mij", steps, steps)
-
-
-_PRODUCTS = (_forward, _back, _of_weights)
-
-
-def _random_walk(env: Env, key: jax.Array, task: Any) -> jax.Array:
-    """The reward of an episode of random actions; the environment's steps and nothing else."""
-    actions = jax.random.normal(key, (env.horizon, env.action_size))
-
-    def step(state: State, action: jax.Array) -> tuple[State, jax.Array]:
-        state = env.step(state, action)
-        return state, state.reward
-
-    return jnp.sum(jax.lax.scan(step, env.reset(key, task), actions)[1])
 
 
 def _setup_and_state(config: ThroughputConfig) -> tuple[Setup, MetaState]:
@@ -268,18 +226,28 @@ def main() -> int:
     if config.devices > 1:
         split_cpu(config.devices)
     bench = Bench(config)
-    peak = bench.matrix_rate()
-    every = bench.setup.config.meta.fisher_every
+    wide = max(bench.setup.config.policy.hidden_sizes)
+    steps = bench.steps // bench.tasks
+    peak = matrix_rate(bench.tasks, steps, wide, config.repetitions)
+    ran = bench.setup.config
+    every = ran.meta.fisher_every
     rows = [
         peak,
-        *bench.rollouts(),
+        *rollouts(
+            bench.setup.env,
+            bench.setup.learner.policy,
+            bench.state.params,
+            bench.part.tasks,
+            bench.adapt.num_episodes,
+            config.repetitions,
+        ),
         bench.adaptations(),
         *bench.iterations(),
         *bench.matrix_share(peak, f"1 of {every} steps"),
         *bench.matrix_share(peak, "every step", fisher_every=1),
         *bench.side_by_side(config.num_seeds, config.devices),
         Row("peak memory of the process", "MiB", [_peak_memory()]),
-        *start_up([f"env={config.env}", f"algo={config.algo}", f"demos={config.demos}"]),
+        *start_up([f"env={ran.env.name}", f"algo={ran.algo}", f"demos={ran.demos}"]),
     ]
     record = {
         "command": shlex.join(["python", "-m", "benchmarks.throughput", *sys.argv[1:]]),

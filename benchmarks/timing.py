@@ -29,10 +29,12 @@ def seconds(call: Callable[[], Any], repetitions: int) -> np.ndarray:
 
 
 def rate(what: str, unit: str, amount: float, times: np.ndarray) -> Row:
+    """An amount over times in s."""
     return Row(what, unit, [float(amount / t) for t in times])
 
 
 def duration(what: str, times: np.ndarray) -> Row:
+    """Times in s, as ms."""
     return Row(what, "ms", [float(1e3 * t) for t in times])
 
 

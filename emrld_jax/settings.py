@@ -177,3 +177,10 @@ def with_values(settings: Any, values: Mapping[str, Any]) -> Any:
         inside = with_values(getattr(settings, section), {rest: value}) if dot else value
         settings = replace(settings, **{section: inside})
     return settings
+
+
+def value(settings: Any, name: str) -> Any:
+    """A setting by its full name."""
+    for part in name.split("."):
+        settings = getattr(settings, part)
+    return settings

@@ -22,8 +22,11 @@ from omegaconf import OmegaConf
 
 from emrld_jax.runs import cli
 from emrld_jax.runs.config import PATHS, ConfigError, TrainConfig
+from emrld_jax.runs.overrides import VMAP
+from emrld_jax.runs.setup import set_up
 
 NAMED = ("env", "algo", "demos", "seed", *PATHS)  # what a run folder's name tells already
+ALONE = ("resume", "processes")  # what a sweep has no use for
 EXTRAS = {
     "joblib": "sweep",
     "submitit_local": "slurm",
@@ -71,12 +74,14 @@ def _checked(arguments: Sequence[str]) -> list[str]:
             raise ConfigError(
                 f"{text}: this launcher is not installed: pip install 'emrld-jax[{EXTRAS[value]}]'"
             )
+        if key in ALONE or key.startswith((VMAP, "distributed.")):
+            raise ConfigError(f"{text}: {key} is for one program, emrld_jax.train; not for a sweep")
     settings = dict(zip(_keys(arguments), arguments, strict=True))
     values = {key: _values(t) for key, t in settings.items() if not key.startswith("hydra")}
     first = {key: f"{key}={each[0]}" for key, each in values.items()}
     for key, each in values.items():
         for value in each:
-            cli.train_config([*{**first, key: f"{key}={value}"}.values()])
+            set_up(cli.train_config([*{**first, key: f"{key}={value}"}.values()]))
     return [key for key, each in values.items() if len(each) > 1]
 
 

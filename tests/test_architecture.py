@@ -36,7 +36,7 @@ MAY_IMPORT: dict[str, set[str]] = {
     # The package itself, which may offer anything that is below runs.
     "emrld_jax": BELOW_RUNS,
 }
-HYDRA_MODULES = ("emrld_jax.runs.cli",)
+HYDRA_MODULES = ("emrld_jax.runs.cli", "emrld_jax.runs.overrides")
 HYDRA_UNITS = ("commands", "benchmarks")
 NOT_IN_ALGORITHMS = {
     *("scan", "fori_loop", "while_loop", "grad", "value_and_grad", "vjp", "jvp", "jacfwd"),

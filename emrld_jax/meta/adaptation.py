@@ -46,7 +46,10 @@ def adapt(
     task: Task,
     demos: Demos,
 ) -> Adapted:
-    """Adapts to one task, collecting episodes where an inner step asks for them."""
+    """Adapts to one task, collecting episodes where an inner step asks for them.
+
+    Not to be differentiated, which a CPU's layout does not allow; `readapt` is.
+    """
     path, rollouts = [params], []
     for step, step_key in zip(steps, jax.random.split(key, len(steps)), strict=True):
         rollout = collect(path[-1], step_key, task) if step.on_policy else None

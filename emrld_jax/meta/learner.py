@@ -67,6 +67,9 @@ class Programs(NamedTuple):
 
     # (params, keys [M], tasks [M], demos [M], axis or None)
     gather: Callable[[Params, jax.Array, Task, Demos, str | None], Gathered]
+    # (experience, demos [M], sizes, axis or None, every): what the optimizer improves on, of each
+    # `every`-th step that matters
+    objective: Callable[[Experience, Demos, Sizes, str | None, int], Objective]
     # (state, experience, demos [M], sizes, axis or None), where sizes are static
     improve: Callable[[MetaState, Experience, Demos, Sizes, str | None], tuple[MetaState, Metrics]]
 
@@ -77,6 +80,7 @@ class MetaLearner(NamedTuple):
     policy: Policy
     init: Callable[[jax.Array], MetaState]  # (key)
     # (params, key, task, demos, collect), all of one task; `collect` may be a simulation or a robot
+    # (not to be differentiated: `readapt` is, on episodes that are there already)
     adapt: Callable[[Params, jax.Array, Task, Demos, Collect], Adapted]
     # (state, key, tasks [M], demos [M]): one meta-iteration
     update: Callable[[MetaState, jax.Array, Task, Demos], tuple[MetaState, Metrics]]
@@ -126,22 +130,26 @@ def meta_learner(
         most = jax.tree.map(lambda r: jnp.max(living_steps(r)), experience, is_leaf=_is_rollout)
         return Gathered(experience, max_over_devices(most, axis), metrics)
 
+    def objective(
+        experience: Experience, demos: Demos, sizes: Sizes, axis: str | None, every: int
+    ) -> Objective:
+        steps = _gather_living(experience, sizes, every)
+        policies = _adapted_policies(policy, inner_steps, steps, demos)
+        average = partial(mean_over_devices, axis=axis)
+        return outer_objective(policies, steps, demos)._replace(average=average)
+
     def improve(
         state: MetaState, experience: Experience, demos: Demos, sizes: Sizes, axis: str | None
     ) -> tuple[MetaState, Metrics]:
-        def objective(every: int) -> Objective:
-            steps = _gather_living(experience, sizes, every)
-            policies = _adapted_policies(policy, inner_steps, steps, demos)
-            average = partial(mean_over_devices, axis=axis)
-            return outer_objective(policies, steps, demos)._replace(average=average)
-
-        params, opt_state, metrics = optimizer.update(
-            objective(1), objective(curvature_every), state.params, state.opt_state
+        exact, sampled = (
+            objective(experience, demos, sizes, axis, every) for every in (1, curvature_every)
         )
+        params, opt_state, metrics = optimizer.update(exact, sampled, state.params, state.opt_state)
+        params = mean_over_devices(params, axis)  # equal up to rounding: they must not drift apart
         size = jnp.linalg.norm(ravel_pytree(params)[0])
         return MetaState(params, opt_state), {**metrics, "outer/params_norm": size}
 
-    programs = Programs(gather, improve)
+    programs = Programs(gather, objective, improve)
     return MetaLearner(policy, init, adapt_one, _compiled(programs), programs)
 
 

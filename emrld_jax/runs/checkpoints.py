@@ -58,12 +58,20 @@ class Checkpoints:
         if step in self._manager.all_steps():
             return
         try:
-            self._manager.save(step, args=ocp.args.StandardSave(_tree(progressed)))
+            saved = self._manager.save(step, args=ocp.args.StandardSave(_tree(progressed)))
         except ValueError as error:  # what tensorstore raises, for a full disk too
             reason = str(error).splitlines()[0][:200]
             raise OSError(
                 f"checkpoint {step} of {self._folder} cannot be written: {reason}"
             ) from error
+        if not saved:  # orbax only goes forward
+            raise OSError(f"{self._folder} has a checkpoint of a later iteration than {step}")
+
+    def drop_after(self, iteration: int) -> None:
+        """Deletes the checkpoints of later iterations, which are going to be done again."""
+        for step in self._manager.all_steps():
+            if step > iteration:
+                self._manager.delete(step)
 
     def restore(
         self, like: Progressed, note: Callable[[str], None], at_most: int | None = None

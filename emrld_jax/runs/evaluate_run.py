@@ -11,7 +11,7 @@ from rich.table import Table
 
 from emrld_jax.demos import DemoSet
 from emrld_jax.runs.checkpoints import Checkpoints
-from emrld_jax.runs.config import ConfigError, EvaluateConfig, load_config, save_config
+from emrld_jax.runs.config import ConfigError, EvaluateConfig
 from emrld_jax.runs.evaluation import evaluator, summarize
 from emrld_jax.runs.files import write_json
 from emrld_jax.runs.folder import RunFolder, new_folder
@@ -20,6 +20,7 @@ from emrld_jax.runs.pictures import adaptation_curve, is_planar, trajectories
 from emrld_jax.runs.progress import tell
 from emrld_jax.runs.provenance import provenance, read_provenance, sha256
 from emrld_jax.runs.report import SPLITS, before_and_after, with_interval
+from emrld_jax.runs.saved import load_config, save_config
 from emrld_jax.runs.setup import Setup, set_up
 from emrld_jax.types import Params
 

@@ -63,7 +63,7 @@ def run_folders(directory: Path) -> list[Path]:
         return [directory]
     patterns = ("*/" * depth + "config.yaml" for depth in range(1, DEPTH + 1))
     found = [path.parent for pattern in patterns for path in directory.glob(pattern)]
-    runs = (path for path in found if (path / "checkpoints").is_dir())
+    runs = (path for path in found if (path / "provenance.json").is_file())
     return sorted(runs, key=_by_numbers) or [directory]
 
 

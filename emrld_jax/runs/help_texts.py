@@ -5,7 +5,8 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from emrld_jax.runs.cli import evaluate_config, groups, parse, train_config
-from emrld_jax.runs.config import EvaluateConfig, updated
+from emrld_jax.runs.config import EvaluateConfig
+from emrld_jax.runs.saved import updated
 from emrld_jax.runs.usage import usage
 
 HELP = ("-h", "--help", "help")

@@ -19,7 +19,11 @@ from emrld_jax.runs.variants import differences
 
 
 class DivergenceError(RuntimeError):
-    """Training made a number that is not finite."""
+    """Training made a number that is not finite, in the runs with the indices `runs`."""
+
+    def __init__(self, message: str, runs: Sequence[int]) -> None:
+        super().__init__(message)
+        self.runs = frozenset(runs)
 
 
 def streams(key_data: jax.Array) -> tuple[jax.Array, jax.Array, jax.Array]:
@@ -72,7 +76,7 @@ class Together:
         try:
             mesh = make_mesh(devices, len(setups), tasks)
         except ValueError as error:
-            raise ConfigError(f"devices={len(devices)} is not allowed: {error}") from error
+            raise ConfigError(f"devices, processes: {error}") from error
         values = differences([setup.config for setup in setups])
         self._mesh, self._values = mesh, replicate(values, mesh)
         self._tasks, self._demos = share_tasks((part.tasks, part.demos), mesh)
@@ -132,9 +136,12 @@ def _iteration_keys(key_data: jax.Array, i: int) -> jax.Array:
 
 
 def _check_finite(i: int, metrics: Sequence[dict[str, float]]) -> None:
-    wrong = sorted({name for own in metrics for name, x in own.items() if not math.isfinite(x)})
-    if wrong:
+    wrong = [[name for name, x in own.items() if not math.isfinite(x)] for own in metrics]
+    runs = [k for k, names in enumerate(wrong) if names]
+    if runs:
+        names = sorted({name for own in wrong for name in own})
         raise DivergenceError(
-            f"iteration {i + 1} made {', '.join(wrong)} infinite or NaN; the state before it is "
-            "saved. A smaller adapt.learning_rate or meta.max_kl may help, in a new run."
+            f"iteration {i + 1} made {', '.join(names)} infinite or NaN; the state before it is "
+            "saved. A smaller adapt.learning_rate or meta.max_kl may help, in a new run.",
+            runs,
         )

@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import json
 import os
+import re
 from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import asdict, replace
 
 import jax
@@ -14,6 +15,7 @@ from jax.experimental import multihost_utils
 
 from emrld_jax.runs.checkpoints import Progressed
 from emrld_jax.runs.config import ConfigError, TrainConfig
+from emrld_jax.runs.provenance import software
 from emrld_jax.runs.rendezvous import meet
 
 EVALUATION_S = 24 * 3600  # that other processes wait for the first one at the end
@@ -27,8 +29,7 @@ def join(config: TrainConfig) -> list[jax.Device]:
     Raises:
         ConfigError: there are not as many devices, or the processes did not meet in time.
     """
-    if config.devices not in ("all", "1"):
-        split_cpu(int(config.devices))
+    split_cpu(1 if config.devices == "all" else int(config.devices))
     if config.distributed.num_processes > 1:
         _meet(config)
     if config.devices == "all":
@@ -54,11 +55,11 @@ def losses_told() -> Iterator[None]:
     try:
         yield
     except (jax.errors.JaxRuntimeError, ValueError) as error:
-        text = str(error).splitlines()[0][:200]
+        text = str(error)[:200]
         if jax.process_count() > 1 and any(name in text for name in ("Gloo", "NCCL", "UNAVAIL")):
             raise ProcessLostError(
                 f"another process has ended, or cannot be reached any more ({text}); what was "
-                "computed is saved, and can be continued, also with fewer processes"
+                "saved can be continued, also with fewer processes"
             ) from error
         raise
 
@@ -68,12 +69,41 @@ def is_first() -> bool:
     return jax.process_index() == 0
 
 
+@contextmanager
+def refusals_told() -> Iterator[None]:
+    """In the first process: the others hear of it if it refuses to begin, and end too."""
+    try:
+        yield
+    except Exception:
+        largest(1)
+        raise
+    largest(0)
+
+
+def hear_of_refusals() -> None:
+    """In the other processes: waits for the first one to begin.
+
+    Raises:
+        ConfigError: it does not.
+    """
+    with losses_told():
+        if largest(0):
+            raise ConfigError("process 0 does not begin; its message tells why")
+
+
 def from_first(runs: Sequence[Progressed]) -> list[Progressed]:
-    """Where the first process says that the runs stand; others give values of the same shapes."""
+    """Where the first process says that the runs stand; others give values of the same shapes.
+
+    Environment steps stay the process's own: only the first one writes them down.
+    """
     if jax.process_count() == 1:
         return list(runs)
-    told = multihost_utils.broadcast_one_to_all(list(runs))
-    return [Progressed(r.state, r.key, int(r.iteration), int(r.env_steps)) for r in told]
+    with losses_told():
+        told = multihost_utils.broadcast_one_to_all([run._replace(env_steps=0) for run in runs])
+    return [
+        Progressed(new.state, new.key, int(new.iteration), own.env_steps)
+        for own, new in zip(runs, told, strict=True)
+    ]
 
 
 def largest(number: int) -> int:
@@ -88,21 +118,27 @@ def _processes() -> range:
 
 
 def split_cpu(parts: int) -> None:
-    """Lets JAX see a CPU as so many devices, if it is what JAX computes on."""
-    if "xla_force_host_platform_device_count" in os.environ.get("XLA_FLAGS", ""):
+    """Lets JAX see a CPU as so many devices, if it is what JAX computes on.
+
+    It has no effect once JAX has been used, or where XLA_FLAGS says how many devices there are.
+    """
+    forced = re.search(
+        r"xla_force_host_platform_device_count=(\d+)", os.environ.get("XLA_FLAGS", "")
+    )
+    parts = int(forced.group(1)) if forced else parts
+    if parts == 1:
         return
     # a device that waits for another one blocks a thread: with too few of them all wait forever
     os.environ.setdefault("NPROC", str(max(os.cpu_count() or 1, 2 * parts)))
-    try:
-        jax.config.update("jax_num_cpu_devices", parts)
-    except RuntimeError:  # somebody has used JAX before: it is too late
-        return
+    if not forced:
+        with suppress(RuntimeError):  # somebody has used JAX before: who counts devices will see
+            jax.config.update("jax_num_cpu_devices", parts)
 
 
 def _meet(config: TrainConfig) -> None:
     settings = config.distributed
     same = replace(config, distributed=replace(settings, process_id=0))
-    meet(settings, json.dumps(asdict(same), sort_keys=True))
+    meet(settings, json.dumps([asdict(same), software()], sort_keys=True))
     jax.distributed.initialize(
         settings.coordinator,
         settings.num_processes,

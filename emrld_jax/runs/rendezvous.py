@@ -11,7 +11,7 @@ import time
 from contextlib import suppress
 from typing import Any
 
-from emrld_jax.runs.config import ConfigError, DistributedSettings
+from emrld_jax.runs.config import ConfigError, DistributedSettings, coordinator_address
 
 RETRY_S = 0.2
 LIMIT = 65536  # bytes of a greeting
@@ -27,17 +27,13 @@ def meet(settings: DistributedSettings, agreed: str) -> None:
     Raises:
         ConfigError: names the processes that did not come in time, or what is different.
     """
-    host, _, port = str(settings.coordinator).rpartition(":")
-    if not host or not port.isdecimal() or not 0 < int(port) < 65536:
-        raise ConfigError(
-            f"distributed.coordinator={settings.coordinator} is not allowed: it must be HOST:PORT"
-        )
+    host, port = coordinator_address(settings)
     deadline = time.monotonic() + settings.timeout
     try:
         if settings.process_id == 0:
-            _receive_all(int(port), settings, agreed, deadline)
+            _receive_all(port, settings, agreed, deadline)
         else:
-            _introduce((host, int(port)), settings, agreed, deadline)
+            _introduce((host, port), settings, agreed, deadline)
     except OSError as error:
         raise ConfigError(
             f"distributed.coordinator={settings.coordinator}: process {settings.process_id} "
@@ -92,7 +88,10 @@ def _problem(
         return "this is not a process of emrld_jax.train"
     process_id = greeting["process_id"]
     if greeting["agreed"] != agreed:
-        return f"process {process_id} was started with other settings than process 0"
+        return (
+            f"process {process_id} was started with other settings, or another version of the "
+            "code or its packages, than process 0"
+        )
     if process_id not in missing:
         return (
             f"distributed.process_id={process_id} is given to two processes, or is not below "
@@ -102,14 +101,14 @@ def _problem(
 
 
 def _introduce(
-    address: tuple[str, int], settings: DistributedSettings, agreed: str, deadline: float
+    where: tuple[str, int], settings: DistributedSettings, agreed: str, deadline: float
 ) -> None:
     """Another process greets the first one, as often as it takes, and waits for all."""
     greeting = json.dumps({"process_id": settings.process_id, "agreed": agreed}).encode() + b"\n"
     while True:
         left = deadline - time.monotonic()
         try:
-            connection = socket.create_connection(address, timeout=max(left, 0.001))
+            connection = socket.create_connection(where, timeout=max(left, 0.001))
             break
         except OSError:
             if left < RETRY_S:
@@ -122,7 +121,8 @@ def _introduce(
         answer = _line(connection)
     if answer is None:
         raise ConfigError(
-            f"distributed.coordinator={settings.coordinator}: process 0 ended before all "
+            f"distributed.coordinator={settings.coordinator}: process 0 ended, or did not answer "
+            f"within distributed.timeout={settings.timeout} s, before all "
             f"{settings.num_processes} processes had come; its message tells why"
         )
     if "problem" in answer:

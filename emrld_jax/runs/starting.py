@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
 from pathlib import Path
 from typing import NamedTuple
 
@@ -11,15 +10,17 @@ from rich.console import Console
 
 from emrld_jax.demos import DemoError, check_tasks
 from emrld_jax.runs.checkpoints import Checkpoints, Progressed
-from emrld_jax.runs.config import ConfigError, TrainConfig, load_config, save_config
+from emrld_jax.runs.config import RESUMABLE, ConfigError, TrainConfig
 from emrld_jax.runs.files import write_json
 from emrld_jax.runs.folder import RunFolder, new_run_folder, run_folders
 from emrld_jax.runs.iteration import initial
 from emrld_jax.runs.metrics import read_metrics
 from emrld_jax.runs.progress import tell, tell_some
 from emrld_jax.runs.provenance import provenance, read_provenance
+from emrld_jax.runs.saved import load_config, save_config
 from emrld_jax.runs.setup import Setup, set_up, with_config
 from emrld_jax.runs.variants import alone, variants
+from emrld_jax.settings import value, with_values
 
 
 class Plan(NamedTuple):
@@ -44,25 +45,15 @@ def planned(config: TrainConfig, label: str = "") -> list[Plan]:
             for numbers, own in new
         ]
     saved = {path: load_config(path / "config.yaml") for path in run_folders(Path(config.resume))}
+    before = next(iter(saved.values()))  # what was given differs from it, or makes no difference
+    given = {name: new for name in RESUMABLE if (new := value(config, name)) != value(before, name)}
+    own = {path: alone(with_values(each, given)) for path, each in saved.items()}
     unfinished = [
         path
-        for path, own in saved.items()
-        if not RunFolder(path).finished or own.meta.iterations < config.meta.iterations
+        for path in saved
+        if not RunFolder(path).finished or saved[path].meta.iterations < own[path].meta.iterations
     ]
-    return [
-        Plan(with_config(first, _continued(saved[path], config)), "", path)
-        for path in unfinished or saved
-    ]
-
-
-def _continued(saved: TrainConfig, given: TrainConfig) -> TrainConfig:
-    """A run's own configuration, but for what may be changed of it."""
-    return replace(
-        alone(saved),
-        meta=replace(saved.meta, iterations=given.meta.iterations),
-        checkpoint_every=given.checkpoint_every,
-        evaluation_episodes=given.evaluation_episodes,
-    )
+    return [Plan(with_config(first, own[path]), "", path) for path in unfinished or saved]
 
 
 def folder_of(plan: Plan, console: Console) -> RunFolder:
@@ -134,6 +125,8 @@ def _continue(
         )
     for (plan, folder), record in zip(pairs, first, strict=True):
         if not folder.finished or common < iterations:
+            with Checkpoints(folder.checkpoints) as checkpoints:
+                checkpoints.drop_after(common)
             folder.results.unlink(missing_ok=True)
             save_config(plan.setup.config, folder.config)
             write_json(folder.provenance, {**record, "resumed": [*record["resumed"], now]})

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import resource
 import signal
 import time
 from collections.abc import Iterator, Sequence
@@ -11,7 +12,7 @@ from typing import NamedTuple
 from rich.console import Console
 
 from emrld_jax.runs import machines
-from emrld_jax.runs.config import TrainConfig
+from emrld_jax.runs.config import ConfigError, TrainConfig
 from emrld_jax.runs.folder import RunFolder, resume_commands
 from emrld_jax.runs.iteration import DivergenceError, Standing, Together, initial
 from emrld_jax.runs.progress import ProgressView, figures, tell, tell_some
@@ -61,24 +62,26 @@ def train(config: TrainConfig, console: Console, label: str = "") -> int:
     if not machines.is_first():
         return _assist(runs)
     with ExitStack() as locks:
-        folders = [folder_of(plan, console) for plan in plans]
-        for folder in folders:
-            locks.enter_context(folder.locked())
+        with machines.refusals_told():
+            _allow_files(len(plans))
+            folders = [folder_of(plan, console) for plan in plans]
+            for folder in folders:
+                locks.enter_context(folder.locked())
+            progressed = begin(plans, folders, console)
         with StopSignals() as stop:
-            progressed = machines.from_first(begin(plans, folders, console))
-            standing = runs.together.begin(progressed)
+            standing = runs.together.begin(machines.from_first(progressed))
             if folders[0].finished:  # a run that is resumed; new ones are not
                 _tell_finished(folders, standing, console)
                 return 0
             tell_where(plans, folders, standing.iteration, console)
             try:
                 standing = _loop(runs, folders, standing, stop, console)
-            except (DivergenceError, machines.ProcessLostError) as error:
-                tell(Console(stderr=True), f"error: {error}")
-                lost = isinstance(error, machines.ProcessLostError)
-                if lost or len(folders) > 1:  # of several that diverge, others may go on alone
-                    _tell_how_to_go_on(folders, console)
+            except DivergenceError as error:
+                _tell_of_divergence(error, folders, console)
                 return 1
+            except machines.ProcessLostError:
+                _tell_how_to_go_on(folders, console)
+                raise
         if stop.received is not None:
             tell(console, f"Stopped after iteration {standing.iteration}; all is saved.")
             _tell_how_to_go_on(folders, console)
@@ -88,6 +91,7 @@ def train(config: TrainConfig, console: Console, label: str = "") -> int:
 
 def _assist(runs: Runs) -> int:
     """What a process does that writes nothing: it computes along, and ends as the first does."""
+    machines.hear_of_refusals()
     start = machines.from_first([initial(setup) for setup in runs.setups])
     with StopSignals() as stop:
         try:
@@ -95,10 +99,24 @@ def _assist(runs: Runs) -> int:
                 pass
         except DivergenceError:  # the first one tells of it
             return 1
-        except machines.ProcessLostError as error:
-            tell(Console(stderr=True), f"error: {error}")
-            return 1
     return stop.exit_code
+
+
+def _allow_files(runs: int) -> None:
+    """Lets the process open as many files as so many runs write at a time.
+
+    Raises:
+        ConfigError: the system does not.
+    """
+    soft, hard = resource.getrlimit(resource.RLIMIT_NOFILE)
+    needed = 200 + 4 * runs  # lock, metrics and TensorBoard of each, and one being written
+    if hard != resource.RLIM_INFINITY and needed > hard:
+        raise ConfigError(
+            f"{runs} runs at a time need {needed} open files, and the system allows {hard} "
+            "(ulimit -Hn); take fewer num_seeds or values of vmap"
+        )
+    if soft != resource.RLIM_INFINITY and needed > soft:
+        resource.setrlimit(resource.RLIMIT_NOFILE, (needed, hard))
 
 
 def _steps(runs: Runs, standing: Standing, stop: StopSignals) -> Iterator[Step]:
@@ -155,6 +173,19 @@ def _tell_finished(folders: Sequence[RunFolder], standing: Standing, console: Co
     tell_some(console, f"{{}} is finished: {standing.iteration} meta-iterations.", paths)
     tell(console, f"To go on: {folders[0].resume_command} meta.iterations=MORE")
     tell(console, f"To evaluate: python -m emrld_jax.evaluate run={paths[0]}")
+
+
+def _tell_of_divergence(
+    error: DivergenceError, folders: Sequence[RunFolder], console: Console
+) -> None:
+    """Which runs cannot go on, and how the others can."""
+    if len(folders) > 1:
+        paths = [folder.path for k, folder in enumerate(folders) if k in error.runs]
+        tell_some(console, "{} diverged", paths)
+    tell(Console(stderr=True), f"error: {error}")
+    healthy = [folder for k, folder in enumerate(folders) if k not in error.runs]
+    if healthy:
+        _tell_how_to_go_on(healthy, console)
 
 
 def _tell_how_to_go_on(folders: Sequence[RunFolder], console: Console) -> None:

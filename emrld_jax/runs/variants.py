@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import replace
 from itertools import product
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
@@ -16,7 +16,7 @@ from emrld_jax.runs.config import (
     TrainConfig,
     algorithm_settings,
 )
-from emrld_jax.settings import with_values
+from emrld_jax.settings import value, with_values
 
 
 class Variant(NamedTuple):
@@ -32,7 +32,7 @@ def variants(config: TrainConfig) -> list[Variant]:
     made = []
     for combination in product(*config.vmap.values()):
         values = dict(zip(config.vmap, combination, strict=True))
-        label = ",".join(f"{name}={value:g}" for name, value in values.items())
+        label = ",".join(f"{name}={number:g}" for name, number in values.items())
         for seed in seeds:
             made.append(Variant(label, with_values(alone(config), {**values, "seed": seed})))
     return made
@@ -60,22 +60,15 @@ def differences(configs: Sequence[TrainConfig]) -> dict[str, np.ndarray]:
     own = [algorithm_settings(config) for config in configs]
     first = configs[0]
     for config in configs[1:]:
-        same = {name: _value(first, name) for name in (*VARIED, "seed", "runs")}
+        same = {name: value(first, name) for name in (*VARIED, "seed", "runs")}
         if with_values(config, same) != first:
             raise ConfigError(
                 "runs that are continued together may differ in their seeds and in "
                 f"{', '.join(VARIED)} only; continue the others one by one"
             )
-    values = {name: [_value(settings, name) for settings in own] for name in VARIED}
+    values = {name: [value(settings, name) for settings in own] for name in VARIED}
     return {
         name: np.array(column, np.float32)
         for name, column in values.items()
         if len(set(column)) > 1
     }
-
-
-def _value(settings: Any, name: str) -> Any:
-    """A setting by its full name."""
-    for part in name.split("."):
-        settings = getattr(settings, part)
-    return settings

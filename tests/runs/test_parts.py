@@ -9,18 +9,11 @@ from pathlib import Path
 
 import pytest
 
-from emrld_jax.runs.config import (
-    ConfigError,
-    EnvSettings,
-    TrainConfig,
-    check_config,
-    default_w_rl,
-    load_config,
-    save_config,
-)
+from emrld_jax.runs.config import ConfigError, EnvSettings, TrainConfig, check_config, default_w_rl
 from emrld_jax.runs.folder import RunFolder, new_folder, new_run_folder
 from emrld_jax.runs.metrics import MetricsLog, read_metrics
 from emrld_jax.runs.provenance import code_version, sha256
+from emrld_jax.runs.saved import load_config, save_config
 from emrld_jax.runs.signals import TOLD, StopSignals
 
 

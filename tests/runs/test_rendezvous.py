@@ -40,12 +40,14 @@ def test_a_missing_process_is_named() -> None:
     first, other = outcomes([0, 2], 3, ["same"] * 2, timeout=1)
     assert "without process 1 of 3" in first
     assert "distributed.timeout=1" in first
-    assert "process 0 ended before all 3 processes had come" in other
+    assert "process 0 ended, or did not answer" in other
+    assert "before all 3 processes had come" in other
 
 
 def test_other_settings_are_told_to_both() -> None:
     told = outcomes([0, 1], 2, ["seed=0", "seed=1"])
-    assert told == ["process 1 was started with other settings than process 0"] * 2
+    assert told[0] == told[1]
+    assert "process 1 was started with other settings" in told[0]
 
 
 def test_an_id_given_twice_is_told() -> None:

@@ -18,8 +18,8 @@ import orbax.checkpoint as ocp
 import pytest
 import yaml
 
-from emrld_jax.runs.config import load_config
 from emrld_jax.runs.metrics import read_metrics
+from emrld_jax.runs.saved import load_config
 from tests.conftest import Command
 from tests.runs.conftest import TINY
 from tests.runs.straight import write_demos

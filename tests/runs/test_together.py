@@ -12,10 +12,14 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
+import jax
 import numpy as np
 import pytest
 import yaml
 
+from emrld_jax.meta.learner import MetaState
+from emrld_jax.runs.checkpoints import Checkpoints, Progressed
+from emrld_jax.runs.folder import RunFolder
 from emrld_jax.runs.metrics import read_metrics
 from tests.conftest import Command
 from tests.runs.conftest import TINY
@@ -32,6 +36,14 @@ def assert_same_curve(ours: Path, theirs: Path) -> None:
         for name in NAMES:
             rtol = 1e-2 if number else 1e-5
             np.testing.assert_allclose(own[name], expected[name], rtol=rtol, err_msg=name)
+    assert_same_step(own_records[0], their_records[0])
+
+
+def assert_same_step(ours: dict[str, float], theirs: dict[str, float]) -> None:
+    """A first meta-step: its gradient up to rounding, its length as conjugate gradient has it."""
+    tolerances = {"outer/gradient_norm": 1e-4, "outer/params_norm": 1e-3, "outer/kl": 3e-2}
+    for name, rtol in tolerances.items():
+        np.testing.assert_allclose(ours[name], theirs[name], rtol=rtol, err_msg=name)
 
 
 def assert_other_curve(ours: Path, theirs: Path) -> None:
@@ -64,24 +76,24 @@ def alone(
 def test_numbers_and_seeds_side_by_side(
     command: Command, start: tuple[str, ...], alone: Path, tmp_path: Path
 ) -> None:
-    """With w_bc = 1, the default, a run is what it is alone; with another value it is not."""
-    varied = ("vmap.w_bc=[0.2,1.0]", "vmap.meta.max_kl=[0.01,0.03]", "num_seeds=2")
+    """With w_rl = 0.2, the default, a run is what it is alone; with another value it is not."""
+    varied = ("vmap.w_rl=[0.2,1.0]", "vmap.meta.max_kl=[0.01,0.03]", "num_seeds=2")
     done = command("train", *start, f"runs={tmp_path}", *varied)
     assert done.returncode == 0, done.stderr
     parent = tmp_path / "point2d" / "emrld-lines"
     folders = {
-        (w, kl, seed): parent / f"w_bc={w:g},meta.max_kl={kl:g}" / f"seed{seed}"
+        (w, kl, seed): parent / f"w_rl={w:g},meta.max_kl={kl:g}" / f"seed{seed}"
         for w in (0.2, 1.0)
         for kl in (0.01, 0.03)
         for seed in (0, 1)
     }
     for (w, kl, seed), folder in folders.items():
         config = yaml.safe_load((folder / "config.yaml").read_text())
-        assert (config["w_bc"], config["meta"]["max_kl"], config["seed"]) == (w, kl, seed)
+        assert (config["w_rl"], config["meta"]["max_kl"], config["seed"]) == (w, kl, seed)
         assert (config["vmap"], config["num_seeds"]) == ({}, 1)
         assert (folder / "results.json").is_file()
-    assert_same_curve(folders[1.0, 0.03, 0], alone)
-    for other in ((0.2, 0.03, 0), (1.0, 0.01, 0), (1.0, 0.03, 1)):
+    assert_same_curve(folders[0.2, 0.03, 0], alone)
+    for other in ((1.0, 0.03, 0), (0.2, 0.01, 0), (0.2, 0.03, 1)):
         assert_other_curve(folders[other], alone)
     assert "mean of 8 runs" in done.stdout
 
@@ -106,6 +118,39 @@ def test_runs_that_began_together_go_on_together(
         again = read_metrics(folder / "metrics.jsonl")
         assert [r[NAMES[1]] for r in again] == [r[NAMES[1]] for r in records]
         assert (folder / "results.json").is_file()
+    # what was ahead of the others was done again, and so was its checkpoint
+    assert all((folder / "checkpoints" / "3").is_dir() for folder in folders)
+
+
+def test_checkpoints_ahead_of_where_runs_go_on_are_dropped(tmp_path: Path) -> None:
+    params = {"w": np.zeros(3, np.float32)}
+    key = jax.random.key_data(jax.random.key(0))
+    runs = [Progressed(MetaState(params, ()), key, step, 0) for step in (10, 15, 20)]
+    with Checkpoints(tmp_path / "checkpoints") as checkpoints:
+        checkpoints.save(runs[0])
+        checkpoints.save(runs[2])
+        with pytest.raises(OSError, match="a later iteration than 15"):
+            checkpoints.save(runs[1])
+        checkpoints.drop_after(10)
+        checkpoints.save(runs[1])
+        restored = checkpoints.restore(runs[0], print)
+    assert restored is not None
+    assert restored.iteration == 15
+
+
+def test_one_run_that_diverges_leaves_the_others_a_way_on(
+    command: Command, start: tuple[str, ...], tmp_path: Path
+) -> None:
+    varied = "vmap.adapt.learning_rate=[0.005,1e38]"
+    done = command("train", *start, f"runs={tmp_path}", varied)
+    assert done.returncode == 1, done.stderr
+    parent = tmp_path / "point2d" / "emrld-lines"
+    healthy, diverged = (parent / f"adapt.learning_rate={x}" / "seed0" for x in ("0.005", "1e+38"))
+    assert f"{diverged} diverged" in done.stdout
+    assert f"resume={healthy}\n" in done.stdout
+    assert f"resume={diverged}" not in done.stdout
+    done = command("train", f"resume={healthy}")
+    assert done.returncode == 0, done.stderr
 
 
 @pytest.mark.parametrize("num_seeds", [1, 2])
@@ -117,6 +162,7 @@ def test_devices_share_tasks_and_seeds(
     assert done.returncode == 0, done.stderr
     folder = tmp_path / "point2d" / "emrld-lines" / "seed0"
     assert_same_curve(folder, alone)
+    assert (folder.parent / "seed1").is_dir() == (num_seeds == 2)
     on_one = command("train", f"resume={folder}", "meta.iterations=4")
     assert on_one.returncode == 0, on_one.stderr
     assert len(read_metrics(folder / "metrics.jsonl")) == 4
@@ -201,6 +247,19 @@ def test_a_lost_process_ends_the_other_and_the_runs_go_on(
     assert len(read_metrics(folder / "seed1" / "metrics.jsonl")) == reached + 1
 
 
+def test_what_the_first_process_refuses_ends_the_other_too(
+    command: Command, start: tuple[str, ...], tmp_path: Path
+) -> None:
+    """The run to continue is locked by a process that trains in it."""
+    assert command("train", *start, f"runs={tmp_path}").returncode == 0
+    folder = tmp_path / "point2d" / "emrld-lines" / "seed0"
+    with RunFolder(folder).locked():
+        done = command("train", f"resume={folder}", "meta.iterations=9", "processes=2")
+    assert done.returncode == 2
+    assert "another process is training" in done.stderr
+    assert "Traceback" not in done.stderr
+
+
 def test_a_signal_to_any_process_stops_all_of_them(pair: Pair, tmp_path: Path) -> None:
     pair[1].send_signal(signal.SIGTERM)
     outputs = [process.communicate(timeout=60)[0] for process in pair]
@@ -213,31 +272,57 @@ def test_a_signal_to_any_process_stops_all_of_them(pair: Pair, tmp_path: Path) -
     assert len(records[0]) == len(records[1]) > 1
 
 
-MEMORY = """
+ON_FOUR = """
 import json, sys
 import jax
+from emrld_jax.meta import batching
 from emrld_jax.runs.cli import train_config
 from emrld_jax.runs.machines import split_cpu
-split_cpu(4)
+split_cpu(1)  # the flag says how many
 from emrld_jax.runs.iteration import Together, initial
-from emrld_jax.runs.setup import set_up
-setup = set_up(train_config(sys.argv[1:]))
-found = []
+from emrld_jax.runs.setup import set_up, with_config
+from dataclasses import replace
+first = set_up(train_config(sys.argv[1:]))
+setups = [with_config(first, replace(first.config, seed=seed)) for seed in (0, 1)]
+memory = []
 for devices in (1, 2, 4):
-    together = Together([setup], jax.devices()[:devices])
-    programs = together.compiled(together.begin([initial(setup)]))
-    found.append([program.memory_analysis().temp_size_in_bytes for program in programs])
-print(json.dumps(found))
+    together = Together(setups[:1], jax.devices()[:devices])
+    programs = together.compiled(together.begin([initial(first)]))
+    memory.append([program.memory_analysis().temp_size_in_bytes for program in programs])
+metrics = []
+for on_cpu, devices in ((True, 1), (False, 1), (False, 4)):
+    batching._on_cpu = lambda: on_cpu
+    together = Together(setups, jax.devices()[:devices])
+    metrics.append(together.iterate(together.begin([initial(s) for s in setups]))[1])
+print(json.dumps([memory, metrics]))
 """
 
 
-def test_a_device_needs_less_memory_where_there_are_more(
-    environment: dict[str, str], start: tuple[str, ...]
-) -> None:
-    command = [sys.executable, "-c", MEMORY, *start]
-    done = subprocess.run(command, env=environment, capture_output=True, text=True, check=False)
+@pytest.fixture(scope="session")
+def on_four(environment: dict[str, str], start: tuple[str, ...]) -> Any:
+    """On 1, 2 and 4 devices: bytes of both programs; and metrics of two seeds by layout."""
+    flags = {"XLA_FLAGS": "--xla_force_host_platform_device_count=4"}
+    command = [sys.executable, "-c", ON_FOUR, *start]
+    done = subprocess.run(
+        command, env=environment | flags, capture_output=True, text=True, check=False, timeout=240
+    )
     assert done.returncode == 0, done.stderr
-    one, two, four = np.array(json.loads(done.stdout.splitlines()[-1]))
+    return json.loads(done.stdout.splitlines()[-1])
+
+
+def test_an_accelerators_layout_computes_the_same(on_four: Any) -> None:
+    """Seeds and tasks in one batch, in place of one after the other; on one and on four devices."""
+    expected, *others = on_four[1]
+    for metrics in others:
+        for own, theirs in zip(metrics, expected, strict=True):
+            assert own.keys() == theirs.keys()
+            np.testing.assert_allclose(own[NAMES[1]], theirs[NAMES[1]], rtol=1e-5)
+            assert_same_step(own, theirs)
+    assert expected[0]["outer/gradient_norm"] > 0
+
+
+def test_a_device_needs_less_memory_where_there_are_more(on_four: Any) -> None:
+    one, two, four = np.array(on_four[0])
     assert (two < 0.7 * one).all()
     assert (four < 0.7 * two).all()
 
@@ -255,6 +340,13 @@ def test_hydras_launchers_carry_out_a_sweep(
         config = yaml.safe_load((parent / f"seed{seed}" / "config.yaml").read_text())
         assert (config["seed"], config["w_bc"]) == (seed, 0.5)
         assert (parent / f"seed{seed}" / "results.json").is_file()
+
+
+@pytest.mark.parametrize("argument", ["vmap.w_rl=[0.1,0.2]", "processes=2", "resume=runs"])
+def test_a_sweep_refuses_what_is_for_one_program(command: Command, argument: str) -> None:
+    done = command("sweep", "seed=0,1", argument)
+    assert done.returncode == 2
+    assert "is for one program" in done.stderr
 
 
 def test_a_sweep_is_checked_before_any_run_starts(command: Command, tmp_path: Path) -> None:
