@@ -36,6 +36,7 @@ SIZES: dict[str, tuple[int, ...]] = {
     "hidden width": (25, 50, 100, 200, 400),
     "inner steps": (1, 2, 3, 4, 5),
 }
+FITTED = 3  # of the largest values
 SMALL = {"tasks": {"episodes": 4}}  # 768 tasks of 20 episodes take more memory than 24 GiB
 
 
@@ -81,12 +82,13 @@ def measure(setup: Setup, tasks: int, repetitions: int) -> list[float]:
     return [float(t) for t in times]
 
 
-def slope(rows: list[dict[str, Any]]) -> float:
-    """The exponent of the power of the size that fits the three largest medians best."""
-    tail = rows[-3:]
+def fit(rows: list[dict[str, Any]]) -> tuple[float, float]:
+    """The exponent and the factor of the power of the size that fits the last medians best."""
+    tail = rows[-FITTED:]
     x = np.log([row["value"] for row in tail])
     y = np.log([np.median(row["seconds"]) for row in tail])
-    return float(np.polyfit(x, y, 1)[0])
+    exponent, logarithm = np.polyfit(x, y, 1)
+    return float(exponent), float(np.exp(logarithm))
 
 
 def table(found: dict[str, list[dict[str, Any]]]) -> str:
@@ -97,7 +99,7 @@ def table(found: dict[str, list[dict[str, Any]]]) -> str:
     ]
     for what, rows in found.items():
         cells = ", ".join(f"{r['value']}: {1e3 * np.median(r['seconds']):.0f}" for r in rows)
-        lines.append(f"| {what} | {cells} | {slope(rows):.2f} |")
+        lines.append(f"| {what} | {cells} | {fit(rows)[0]:.2f} |")
     return "\n".join(lines)
 
 
@@ -113,8 +115,8 @@ def draw(found: dict[str, list[dict[str, Any]]], title: str, stem: Any) -> None:
         middle = np.array([np.median(t) for t in times])
         low, high = (np.array([f(t) for t in times]) for f in (min, max))
         ax.errorbar(x, middle, [middle - low, high - middle], fmt="o", capsize=3)
-        power = slope(rows)
-        ax.plot(x, middle[-1] * (x / x[-1]) ** power, "--", label=f"size^{power:.2f}")
+        exponent, factor = fit(rows)
+        ax.plot(x, factor * x**exponent, "--", label=f"size^{exponent:.2f}")
         ax.set(xscale="log", yscale="log", xlabel=what, xticks=x)
         ax.set_xticks(x, [f"{v:g}" for v in x])
         ax.minorticks_off()
@@ -144,7 +146,7 @@ def main() -> int:
         **software(),
         "machine": machine(),
         "smaller": SMALL,
-        "rows": [{"what": what, "slope": slope(r), "rows": r} for what, r in found.items()],
+        "rows": [{"what": what, "exponent": fit(r)[0], "rows": r} for what, r in found.items()],
     }
     stem = write_record(f"growth-{config.env}", record, table(found))
     draw(found, f"{config.env}, {config.algo}: what a meta-iteration takes", stem)

@@ -110,4 +110,4 @@ def test_what_a_program_tells_is_counted_with_its_loops() -> None:
 
 def test_a_fitted_slope_is_the_exponent() -> None:
     rows = [{"value": x, "seconds": [0.5 * x**1.5] * 2} for x in (2, 4, 8, 16)]
-    np.testing.assert_allclose(growth.slope(rows), 1.5)
+    np.testing.assert_allclose(growth.fit(rows), (1.5, 0.5))

@@ -68,6 +68,9 @@ def machine() -> dict[str, Any]:
         "cpu": _cpu(),
         "cores": os.cpu_count(),
         "device": jax.devices()[0].device_kind,
+        "devices": jax.device_count(),
+        "processes": jax.process_count(),
+        "malloc": os.environ.get("GLIBC_TUNABLES", ""),  # large pages make large arrays faster
     }
 
 
