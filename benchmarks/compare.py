@@ -25,12 +25,17 @@ def table(a: dict[str, Any], b: dict[str, Any]) -> str:
 def main() -> None:
     """Reads both and prints the table."""
     parser = argparse.ArgumentParser(prog="python -m benchmarks.compare", description=__doc__)
-    parser.add_argument("a", type=Path)
-    parser.add_argument("b", type=Path)
+    parser.add_argument("a", type=Path, help="a result, such as benchmarks/results/NAME.json")
+    parser.add_argument("b", type=Path, help="another one, whose values are divided by a's")
     options = parser.parse_args()
-    a, b = (json.loads(path.read_text()) for path in (options.a, options.b))
+    try:
+        a, b = (json.loads(path.read_text()) for path in (options.a, options.b))
+    except (OSError, ValueError) as error:
+        parser.error(str(error))
     for name, record in (("A", a), ("B", b)):
-        print(f"{name}: {record['command']}, {record['code']['commit'][:7]}, {record['machine']}")
+        machine = record["machine"]
+        where = f"{machine['cores']} x {machine['cpu']}"
+        print(f"{name}: {record['command']}, commit {record['code']['commit'][:7]}, {where}")
     print(table(a, b))
 
 

@@ -1,12 +1,17 @@
 """Many runs through Hydra's launchers: `python -m emrld_jax.sweep env=point2d seed=0,1,2`.
 
 Values with commas between them make a run for each combination. What carries the runs out is
-`hydra/launcher=NAME`: one after another without it; `joblib`, `submitit_slurm` or `ray` with the
-extra of that name (docs/scaling.md).
+`hydra/launcher=NAME`: one after another without it; `joblib`, `submitit_local`, `submitit_slurm` or
+`ray` with an extra (docs/scaling.md). For example, two at a time on this machine:
+
+    python -m emrld_jax.sweep hydra/launcher=joblib hydra.launcher.n_jobs=2 \\
+        env=point2d seed=0,1,2,3 policy.activation=tanh,relu
 """
 
 from __future__ import annotations
 
+import os
+import shlex
 import sys
 from collections.abc import Sequence
 from importlib.util import find_spec
@@ -23,9 +28,11 @@ from omegaconf import OmegaConf
 from emrld_jax.runs import cli
 from emrld_jax.runs.config import PATHS, ConfigError, TrainConfig
 from emrld_jax.runs.overrides import VMAP
+from emrld_jax.runs.provenance import TYPED
 from emrld_jax.runs.setup import set_up
 
 NAMED = ("env", "algo", "demos", "seed", *PATHS)  # what a run folder's name tells already
+SIGNALED = 128  # and more: exit codes of a training that a signal has stopped
 ALONE = ("resume", "processes")  # what a sweep has no use for
 EXTRAS = {
     "joblib": "sweep",
@@ -82,6 +89,8 @@ def _checked(arguments: Sequence[str]) -> list[str]:
     for key, each in values.items():
         for value in each:
             set_up(cli.train_config([*{**first, key: f"{key}={value}"}.values()]))
+    if "num_seeds" in values and len(values.get("seed", ())) > 1:
+        raise ConfigError("num_seeds makes runs of the seeds after seed: sweep over one of the two")
     return [key for key, each in values.items() if len(each) > 1]
 
 
@@ -111,7 +120,12 @@ def _task(node: Any) -> None:
     from emrld_jax.runs.training import train  # noqa: PLC0415
 
     config: Any = OmegaConf.to_object(node)
-    code = train(config, Console(), HydraConfig.get().job.override_dirname)
+    job = HydraConfig.get()
+    own = [text for text in job.overrides.task if not text.startswith("hydra")]
+    os.environ[TYPED] = shlex.join(["python", "-m", "emrld_jax.train", *own])
+    code = train(config, Console(), job.job.override_dirname)
+    if code > SIGNALED:
+        raise KeyboardInterrupt  # the others are not to begin
     if code:
         raise RuntimeError(f"training ended with exit code {code}")
 

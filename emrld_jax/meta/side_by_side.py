@@ -37,10 +37,10 @@ def make_mesh(devices: Sequence[jax.Device], learners: int, tasks: int) -> Mesh:
         ValueError: the work cannot be divided into equal parts; tells what can.
     """
     if (shape := _shape(len(devices), learners, tasks)) is None:
-        possible = [n for n in range(1, len(devices)) if _shape(n, learners, tasks)]
+        possible = [n for n in range(1, 2 * len(devices)) if _shape(n, learners, tasks)]
         raise ValueError(
             f"{len(devices)} devices cannot share {learners} run(s) of {tasks} tasks in equal "
-            f"parts; possible with at most as many: {', '.join(map(str, possible))}"
+            f"parts; these numbers can: {', '.join(map(str, possible))}"
         )
     return Mesh(np.array(devices).reshape(shape), (LEARNERS, TASKS))
 

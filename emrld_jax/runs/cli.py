@@ -162,7 +162,7 @@ def _resumed(values: Values) -> TrainConfig:
     Of several that began together it is that of the first; they differ in seeds and numbers.
     """
     directory = values["resume"]
-    config = load_config(run_folders(Path(directory))[0] / "config.yaml")
+    config = load_config(run_folders(directory)[0] / "config.yaml")
     allowed = (*RESUMABLE, *PLACES)
     for key in values:
         if key not in (*allowed, "resume"):

@@ -83,7 +83,9 @@ class TrainConfig:
         at_most=4096,
     )
     vmap: dict[str, list[float]] = setting(
-        {}, "values of a number that are trained side by side, such as vmap.w_rl=[0.2,0.5]"
+        {},
+        "values of a number that are trained side by side, such as vmap.w_rl=[0.2,0.5]; also of "
+        + ", ".join(name for name in VARIED if name != "w_rl"),
     )
     w_rl: float | None = setting(
         None,

@@ -12,6 +12,7 @@ from pathlib import Path
 
 from emrld_jax.runs.config import ConfigError, TrainConfig
 
+NAMED = 32  # runs that one command names
 DEPTH = 3  # levels below a folder that runs which began together are looked for
 
 
@@ -57,8 +58,14 @@ class RunFolder:
             yield
 
 
-def run_folders(directory: Path) -> list[Path]:
-    """The run folder that this is, or those up to DEPTH levels below it, by name."""
+def run_folders(text: str) -> list[Path]:
+    """The run folders that a path names: itself, or those up to DEPTH levels below it, by name.
+
+    Several paths may be joined by the system's path separator (a colon), where no path has it.
+    """
+    if not Path(text).exists() and len(parts := text.split(os.pathsep)) > 1:
+        return [path for part in parts for path in run_folders(part)]
+    directory = Path(text)
     if (directory / "config.yaml").is_file():
         return [directory]
     patterns = ("*/" * depth + "config.yaml" for depth in range(1, DEPTH + 1))
@@ -97,13 +104,19 @@ def new_run_folder(config: TrainConfig, label: str) -> tuple[RunFolder, str]:
 
 
 def resume_commands(folders: Sequence[RunFolder]) -> list[str]:
-    """What continues these runs: one command if a folder holds them and no other unfinished one."""
-    paths = {folder.path for folder in folders}
-    holder = Path(os.path.commonpath(paths))
-    if len(paths) > 1:
-        unfinished = {path for path in run_folders(holder) if not RunFolder(path).finished}
-        if unfinished == paths:
-            return [RunFolder(holder).resume_command]
+    """What continues these runs: one command, of the folder that holds them and no others.
+
+    If it holds other unfinished ones, all are named; many are continued one by one.
+    """
+    paths = [folder.path for folder in folders]
+    if len(paths) == 1:
+        return [folders[0].resume_command]
+    holder = os.path.commonpath(paths)
+    unfinished = {path for path in run_folders(holder) if not RunFolder(path).finished}
+    if unfinished == set(paths):
+        return [RunFolder(Path(holder)).resume_command]
+    if len(paths) <= NAMED and not any(os.pathsep in str(path) for path in paths):
+        return [f"python -m emrld_jax.train resume={os.pathsep.join(map(str, paths))}"]
     return [folder.resume_command for folder in folders]
 
 

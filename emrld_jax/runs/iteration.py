@@ -69,14 +69,14 @@ class Together:
             devices: that share the work.
 
         Raises:
-            ConfigError: the devices cannot share the work, or the runs cannot share a program.
+            ConfigError: the devices cannot share the work.
         """
         shared, part = setups[0], setups[0].demos.train
         tasks = part.demos.mask.shape[0]
         try:
             mesh = make_mesh(devices, len(setups), tasks)
         except ValueError as error:
-            raise ConfigError(f"devices, processes: {error}") from error
+            raise ConfigError(f"devices and processes: {error}") from error
         values = differences([setup.config for setup in setups])
         self._mesh, self._values = mesh, replicate(values, mesh)
         self._tasks, self._demos = share_tasks((part.tasks, part.demos), mesh)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import shlex
 import signal
 import socket
 import subprocess
@@ -15,6 +16,7 @@ from types import FrameType
 from typing import IO
 
 from emrld_jax.runs.config import ConfigError
+from emrld_jax.runs.provenance import TYPED
 
 # large pages for large arrays, as glibc's malloc can ask for: an eighth less time for a meta-step
 HUGE_PAGES = {"GLIBC_TUNABLES": "glibc.malloc.hugetlb=1"}
@@ -39,6 +41,7 @@ def launch(arguments: Sequence[str], processes: int) -> int:
     coordinator = f"distributed.coordinator={_free_address()}"
     together = [coordinator, f"distributed.num_processes={processes}"]
     command = [sys.executable, "-m", "emrld_jax.train", *others, *together]
+    typed = {TYPED: shlex.join(["python", "-m", "emrld_jax.train", *arguments])}
     own_cores = os.sched_getaffinity(0)
     with ExitStack() as stack:
         children: list[subprocess.Popen] = []
@@ -50,7 +53,7 @@ def launch(arguments: Sequence[str], processes: int) -> int:
             children.append(
                 subprocess.Popen(
                     [*command, f"distributed.process_id={i}"],
-                    env=HUGE_PAGES | os.environ,
+                    env=HUGE_PAGES | os.environ | typed,
                     stdout=subprocess.DEVNULL if i else None,
                     stderr=said[i - 1] if i else None,
                     start_new_session=True,  # so that Ctrl-C reaches it through this process alone

@@ -41,7 +41,7 @@ def parse(arguments: Sequence[str], schema: Any, options: dict[str, tuple[str, .
         if key in options:
             _check_option(key, value, options[key])
         elif key.startswith(VMAP) and "vmap" in known:
-            _check_varied(argument, key, value)
+            _check_varied(argument, key, value, known)
         else:
             _check_setting(argument, key, value, known, tuple(options))
         values[key] = value
@@ -69,7 +69,8 @@ def _parse_override(argument: str) -> Override:
         raise ConfigError(f"{argument!r}: only the form setting=value is allowed")
     if override.is_sweep_override():
         raise ConfigError(
-            f"{argument!r}: one value at a time (quote a text with a comma; a list is [1,2])"
+            f"{argument!r}: one value at a time (quote a text with a comma; a list is [1,2]); for "
+            "several seeds num_seeds, for several values vmap or python -m emrld_jax.sweep"
         )
     return override
 
@@ -107,14 +108,16 @@ def _check_setting(
         raise ConfigError(f"{argument} is not allowed: it must be {allowed}") from error
 
 
-def _check_varied(argument: str, key: str, value: Any) -> None:
+def _check_varied(argument: str, key: str, value: Any, known: dict[str, Leaf]) -> None:
     """Refuses what cannot be trained side by side."""
     name = key.removeprefix(VMAP)
+    if name not in known:
+        hint = did_you_mean(name, VARIED)
+        raise ConfigError(f"{argument}: there is no setting {name!r}{hint} (--help lists all)")
     if name not in VARIED:
         raise ConfigError(
-            f"{argument}: {name} cannot differ between runs of one program"
-            f"{did_you_mean(name, VARIED)}; these numbers can: {', '.join(VARIED)}. "
-            "For others: python -m emrld_jax.sweep"
+            f"{argument}: {name} cannot differ between runs of one program; these numbers can: "
+            f"{', '.join(VARIED)}. For others: python -m emrld_jax.sweep {name}=VALUE,VALUE"
         )
     is_list = isinstance(value, list) and len(value) > 0
     if not is_list or not all(type(x) in (int, float) for x in value):

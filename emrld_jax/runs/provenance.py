@@ -19,6 +19,7 @@ import jax
 from emrld_jax.runs.config import ConfigError
 
 CODE = (".", "../envs_jax")  # what decides results, seen from this package
+TYPED = "EMRLD_JAX_COMMAND"  # tells a process that a command starts what the user has typed
 PACKAGES = ("emrld-jax", "jax", "jaxlib", "flax", "optax", "orbax-checkpoint", "numpy")
 
 
@@ -86,7 +87,9 @@ def code_version() -> dict[str, Any]:
 
 
 def _command() -> str:
-    """The command line of this process, as a shell takes it."""
+    """The command line that led to this process, as a shell takes it."""
+    if typed := os.environ.get(TYPED):
+        return typed
     module = sys.modules["__main__"].__spec__
     start = ["python", "-m", module.name] if module else [sys.argv[0]]
     return shlex.join([*start, *sys.argv[1:]])

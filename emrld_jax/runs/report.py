@@ -130,8 +130,8 @@ def _overview(
         for split in shown:
             for what, form in zip(measured, (".1f", ".0%"), strict=True):
                 column = [found[k][split]["stages"][-1][what] for k in members]
-                mean, low, high = np.mean(column), min(column), max(column)
-                cells.append(f"{mean:{form}} ({low:{form}} to {high:{form}})")
+                spread = f" ({min(column):{form}}-{max(column):{form}})" * (len(column) > 1)
+                cells.append(f"{np.mean(column):{form}}{spread}")
         table.add_row(*(f"{x:g}" for x in numbers), str(len(members)), *cells)
     return table
 

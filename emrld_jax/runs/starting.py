@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Sequence
 from pathlib import Path
 from typing import NamedTuple
@@ -19,7 +20,7 @@ from emrld_jax.runs.progress import tell, tell_some
 from emrld_jax.runs.provenance import provenance, read_provenance
 from emrld_jax.runs.saved import load_config, save_config
 from emrld_jax.runs.setup import Setup, set_up, with_config
-from emrld_jax.runs.variants import alone, variants
+from emrld_jax.runs.variants import alone, other_setting, variants
 from emrld_jax.settings import value, with_values
 
 
@@ -44,7 +45,7 @@ def planned(config: TrainConfig, label: str = "") -> list[Plan]:
             Plan(with_config(first, own), ",".join(filter(None, (label, numbers))), None)
             for numbers, own in new
         ]
-    saved = {path: load_config(path / "config.yaml") for path in run_folders(Path(config.resume))}
+    saved = {path: load_config(path / "config.yaml") for path in run_folders(config.resume)}
     before = next(iter(saved.values()))  # what was given differs from it, or makes no difference
     given = {name: new for name in RESUMABLE if (new := value(config, name)) != value(before, name)}
     own = {path: alone(with_values(each, given)) for path, each in saved.items()}
@@ -53,7 +54,26 @@ def planned(config: TrainConfig, label: str = "") -> list[Plan]:
         for path in saved
         if not RunFolder(path).finished or saved[path].meta.iterations < own[path].meta.iterations
     ]
-    return [Plan(with_config(first, own[path]), "", path) for path in unfinished or saved]
+    # where all are finished, the first one stands for them: it is told, and nothing is trained
+    chosen = unfinished or list(saved)[:1]
+    _check_together({path: own[path] for path in chosen})
+    return [Plan(with_config(first, own[path]), "", path) for path in chosen]
+
+
+def _check_together(configs: dict[Path, TrainConfig]) -> None:
+    """Refuses runs that differ in more than one program can, naming what and how to go on.
+
+    Raises:
+        ConfigError: they do.
+    """
+    (first, expected), *others = configs.items()
+    for path, own in others:
+        if name := other_setting(expected, own):
+            raise ConfigError(
+                f"{first} and {path} cannot be continued together: {name} is "
+                f"{value(expected, name)} and {value(own, name)}. Name those that can, joined by "
+                f"{os.pathsep!r}, or one by one: {RunFolder(path).resume_command}"
+            )
 
 
 def folder_of(plan: Plan, console: Console) -> RunFolder:
@@ -163,8 +183,9 @@ def _restored(
     progressed = restored or start
     if at_most is not None and progressed.iteration != at_most:
         raise ConfigError(
-            f"{folder.checkpoints} has no checkpoint of iteration {at_most}, where other runs "
-            f"stand: continue them one by one ({folder.resume_command})"
+            f"{folder.path} has no checkpoint of iteration {at_most}, where other runs stand: "
+            f"continue it alone ({folder.resume_command}) or with those as far as it, joined by "
+            f"{os.pathsep!r}"
         )
     records = records[: progressed.iteration]
     told = [record["iteration"] for record in records if "adapt/return_0" in record]

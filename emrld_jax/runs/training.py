@@ -20,7 +20,7 @@ from emrld_jax.runs.recording import Recording
 from emrld_jax.runs.report import report_all
 from emrld_jax.runs.setup import Setup
 from emrld_jax.runs.signals import StopSignals
-from emrld_jax.runs.starting import begin, folder_of, planned, tell_where
+from emrld_jax.runs.starting import Plan, begin, folder_of, planned, tell_where
 
 
 class Runs(NamedTuple):
@@ -62,13 +62,10 @@ def train(config: TrainConfig, console: Console, label: str = "") -> int:
     if not machines.is_first():
         return _assist(runs)
     with ExitStack() as locks:
-        with machines.refusals_told():
-            _allow_files(len(plans))
-            folders = [folder_of(plan, console) for plan in plans]
-            for folder in folders:
-                locks.enter_context(folder.locked())
-            progressed = begin(plans, folders, console)
         with StopSignals() as stop:
+            with machines.refusals_told():
+                folders = _folders(plans, locks, console)
+                progressed = begin(plans, folders, console)
             standing = runs.together.begin(machines.from_first(progressed))
             if folders[0].finished:  # a run that is resumed; new ones are not
                 _tell_finished(folders, standing, console)
@@ -87,6 +84,15 @@ def train(config: TrainConfig, console: Console, label: str = "") -> int:
             _tell_how_to_go_on(folders, console)
             return stop.exit_code
         return _finish(runs, folders, standing, console)
+
+
+def _folders(plans: Sequence[Plan], locks: ExitStack, console: Console) -> list[RunFolder]:
+    """The folders of the runs, new or to be continued, locked as long as the stack is open."""
+    _allow_files(len(plans))
+    folders = [folder_of(plan, console) for plan in plans]
+    for folder in folders:
+        locks.enter_context(folder.locked())
+    return folders
 
 
 def _assist(runs: Runs) -> int:

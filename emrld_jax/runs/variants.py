@@ -11,11 +11,11 @@ import numpy as np
 
 from emrld_jax.runs.config import (
     VARIED,
-    ConfigError,
     DistributedSettings,
     TrainConfig,
     algorithm_settings,
 )
+from emrld_jax.runs.usage import leaves
 from emrld_jax.settings import value, with_values
 
 
@@ -51,21 +51,16 @@ def alone(config: TrainConfig) -> TrainConfig:
     )
 
 
-def differences(configs: Sequence[TrainConfig]) -> dict[str, np.ndarray]:
-    """Values [K] of the numbers that the runs differ in.
+def other_setting(first: TrainConfig, second: TrainConfig) -> str | None:
+    """The first setting that two runs of one program may not differ in, but do."""
+    free = {*VARIED, "seed", "runs"}
+    names = [name for name in leaves(first) if name not in free]
+    return next((name for name in names if value(first, name) != value(second, name)), None)
 
-    Raises:
-        ConfigError: they differ in more than numbers and seeds.
-    """
+
+def differences(configs: Sequence[TrainConfig]) -> dict[str, np.ndarray]:
+    """Values [K] of the numbers that the runs differ in."""
     own = [algorithm_settings(config) for config in configs]
-    first = configs[0]
-    for config in configs[1:]:
-        same = {name: value(first, name) for name in (*VARIED, "seed", "runs")}
-        if with_values(config, same) != first:
-            raise ConfigError(
-                "runs that are continued together may differ in their seeds and in "
-                f"{', '.join(VARIED)} only; continue the others one by one"
-            )
     values = {name: [value(settings, name) for settings in own] for name in VARIED}
     return {
         name: np.array(column, np.float32)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import shutil
 import signal
 import socket
 import subprocess
@@ -122,6 +123,26 @@ def test_runs_that_began_together_go_on_together(
     assert all((folder / "checkpoints" / "3").is_dir() for folder in folders)
 
 
+def test_runs_to_continue_may_be_named_and_must_fit(
+    command: Command, alone: Path, tmp_path: Path
+) -> None:
+    """Two of three unfinished runs; the third has another activation."""
+    first, second, other = (tmp_path / name for name in ("first", "second", "other"))
+    for folder in (first, second, other):
+        shutil.copytree(alone, folder)
+        (folder / "results.json").unlink()
+    config = yaml.safe_load((other / "config.yaml").read_text())
+    config["policy"]["activation"] = "relu"
+    (other / "config.yaml").write_text(yaml.safe_dump(config))
+    done = command("train", f"resume={tmp_path}")
+    assert done.returncode == 2
+    assert "policy.activation is tanh and relu" in done.stderr
+    assert str(other) in done.stderr
+    done = command("train", f"resume={first}:{second}", "meta.iterations=4")
+    assert done.returncode == 0, done.stderr
+    assert [len(read_metrics(f / "metrics.jsonl")) for f in (first, second, other)] == [4, 4, 3]
+
+
 def test_checkpoints_ahead_of_where_runs_go_on_are_dropped(tmp_path: Path) -> None:
     params = {"w": np.zeros(3, np.float32)}
     key = jax.random.key_data(jax.random.key(0))
@@ -174,7 +195,7 @@ def test_devices_that_do_not_divide_the_work(
     done = command("train", *start, f"runs={tmp_path}", "devices=3")
     assert done.returncode == 2
     assert "3 devices cannot share 1 run(s) of 4 tasks" in done.stderr
-    assert "1, 2" in done.stderr
+    assert "these numbers can: 1, 2, 4" in done.stderr
     assert not any(tmp_path.iterdir())
 
 
