@@ -52,7 +52,7 @@ def _examples(command: str) -> tuple[str, ...]:
             "env=point2d",
             "env=two_wheeled algo=emrld_ws demos=suboptimal seed=3 meta.iterations=100",
             "env=point2d experiment=paper adapt.num_steps=2 meta.max_kl=0.02",
-            "env=two_wheeled num_seeds=3 vmap.w_rl=[0.2,0.6,1.0] processes=2",
+            "env=two_wheeled num_seeds=4 vmap.w_rl=[0.2,0.6,1.0] processes=2",
             "resume=runs/point2d/emrld-optimal/seed0 meta.iterations=300",
         ),
         "evaluate": (
