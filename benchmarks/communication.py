@@ -7,7 +7,6 @@ their bytes, and predicts from a link's latency and rate how long they take.
 from __future__ import annotations
 
 import re
-import shlex
 import sys
 from collections import Counter
 from collections.abc import Callable
@@ -17,17 +16,14 @@ from math import prod
 
 import jax
 
+from benchmarks.choice import Choice, chosen, origin
 from benchmarks.records import write_record
-from emrld_jax import algorithms
-from emrld_jax.demos.shipped import QUALITIES
 from emrld_jax.runs import cli
 from emrld_jax.runs.config import check_config
 from emrld_jax.runs.iteration import Together, initial
 from emrld_jax.runs.machines import split_cpu
-from emrld_jax.runs.provenance import machine, software
 from emrld_jax.runs.setup import set_up, with_config
 from emrld_jax.settings import setting
-from envs_jax import names
 
 _KINDS = "all-reduce|all-gather|all-to-all|collective-permute"
 _COLLECTIVE = re.compile(rf" = (.*?) ({_KINDS})(?:-start)?\(")
@@ -39,12 +35,9 @@ _TRIPS = re.compile(r'"known_trip_count":\{"n":"(\d+)"\}')
 
 
 @dataclass
-class CommunicationConfig:
+class CommunicationConfig(Choice):
     """All settings of the count."""
 
-    env: str = setting("point2d", "the environment", choices=names())
-    algo: str = setting("emrld", "the algorithm", choices=algorithms.names())
-    demos: str = setting("optimal", "the shipped demonstrations", choices=QUALITIES)
     num_seeds: int = setting(1, "seeds trained side by side", at_least=1)
     devices: int = setting(4, "devices that share the work", at_least=2)
     tries: int = setting(3, "tries of the line search", at_least=1)
@@ -104,8 +97,8 @@ def main() -> int:
     config = cli.updated(CommunicationConfig(), given)
     check_config(config)
     split_cpu(config.devices)
-    chosen = [f"env={config.env}", f"algo={config.algo}", f"demos={config.demos}"]
-    first = set_up(cli.train_config(chosen))
+    arguments = chosen(config)
+    first = set_up(cli.train_config(arguments))
     seeds = range(config.num_seeds)
     setups = [with_config(first, replace(first.config, seed=seed)) for seed in seeds]
     together = Together(setups, jax.devices()[: config.devices])
@@ -132,9 +125,7 @@ def main() -> int:
     lines += [f"| {what} | {value} |" for what, value in rows.items()]
     lines += [f"| {kind} of {bytes_} bytes | {n} |" for (kind, bytes_), n in sorted(told.items())]
     record = {
-        "command": shlex.join(["python", "-m", "benchmarks.communication", *sys.argv[1:]]),
-        **software(),
-        "machine": machine(),
+        **origin("communication"),
         "mesh": together.shape,
         "operations": operations,
         "bytes": size,

@@ -6,7 +6,6 @@ step (dense reward, first parameters), fits a power of each size, and draws both
 
 from __future__ import annotations
 
-import shlex
 import sys
 from dataclasses import dataclass, replace
 from typing import Any
@@ -14,16 +13,14 @@ from typing import Any
 import jax
 import numpy as np
 
+from benchmarks.choice import Choice, chosen, origin
 from benchmarks.records import write_record
 from benchmarks.timing import seconds
 from emrld_jax import algorithms
-from emrld_jax.demos.shipped import QUALITIES
 from emrld_jax.runs import cli
 from emrld_jax.runs.config import algorithm_settings, check_config, make_env
-from emrld_jax.runs.provenance import machine, software
 from emrld_jax.runs.setup import Setup, set_up
 from emrld_jax.settings import setting
-from envs_jax import names
 
 KEY = jax.random.key(0)
 
@@ -41,12 +38,9 @@ SMALL = {"tasks": {"episodes": 4}}  # 768 tasks of 20 episodes take more memory 
 
 
 @dataclass
-class GrowthConfig:
+class GrowthConfig(Choice):
     """All settings of the measurement."""
 
-    env: str = setting("point2d", "the environment", choices=names())
-    algo: str = setting("emrld", "the algorithm", choices=algorithms.names())
-    demos: str = setting("optimal", "the shipped demonstrations", choices=QUALITIES)
     repetitions: int = setting(3, "of each measurement", at_least=2)
 
 
@@ -131,8 +125,8 @@ def main() -> int:
     """Measures, fits, draws and writes."""
     config = cli.updated(GrowthConfig(), cli.parse(sys.argv[1:], GrowthConfig(), {}))
     check_config(config)
-    chosen = [f"env={config.env}", f"algo={config.algo}", f"demos={config.demos}"]
-    setup = set_up(cli.train_config([*chosen, "env.reward=dense"]))
+    arguments = chosen(config)
+    setup = set_up(cli.train_config([*arguments, "env.reward=dense"]))
     found: dict[str, list[dict[str, Any]]] = {what: [] for what in SIZES}
     for what, values in SIZES.items():
         for value in values:
@@ -142,9 +136,7 @@ def main() -> int:
             print(f"{what} {value}: {1e3 * np.median(times):.0f} ms", flush=True)
             jax.clear_caches()
     record = {
-        "command": shlex.join(["python", "-m", "benchmarks.growth", *sys.argv[1:]]),
-        **software(),
-        "machine": machine(),
+        **origin("growth"),
         "smaller": SMALL,
         "rows": [{"what": what, "exponent": fit(r)[0], "rows": r} for what, r in found.items()],
     }

@@ -7,7 +7,6 @@ one run or many, in one process, in processes that share the work, and as a proc
 from __future__ import annotations
 
 import os
-import shlex
 import subprocess
 import sys
 import tempfile
@@ -18,27 +17,21 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from benchmarks.choice import Choice, origin
 from benchmarks.jobs import Job, run_all
 from benchmarks.records import write_record
-from emrld_jax import algorithms
-from emrld_jax.demos.shipped import QUALITIES
 from emrld_jax.runs import cli
 from emrld_jax.runs.config import ConfigError, check_config
 from emrld_jax.runs.launch import HUGE_PAGES
-from emrld_jax.runs.provenance import machine, software
 from emrld_jax.runs.setup import set_up
 from emrld_jax.settings import setting
-from envs_jax import names
 from envs_jax.base import REWARDS
 
 
 @dataclass
-class ScalingConfig:
+class ScalingConfig(Choice):
     """All settings of the measurement."""
 
-    env: str = setting("point2d", "the environment", choices=names())
-    algo: str = setting("emrld", "the algorithm", choices=algorithms.names())
-    demos: str = setting("optimal", "the shipped demonstrations", choices=QUALITIES)
     reward: str = setting("sparse", "dense: adaptation weighs every step", choices=REWARDS)
     num_seeds: int = setting(8, "runs, where there are many", at_least=2)
     iterations: int = setting(40, "meta-iterations of each", at_least=10)
@@ -132,9 +125,7 @@ def main() -> int:
         print(way.words, f"{1e3 * found[-1].seed_s:.0f} ms an iteration and run", flush=True)
     rows: list[dict[str, Any]] = [{**m._asdict(), "way": m.way._asdict()} for m in found]
     record = {
-        "command": shlex.join(["python", "-m", "benchmarks.scaling", *sys.argv[1:]]),
-        **software(),
-        "machine": machine(),
+        **origin("scaling"),
         "rows": rows,
     }
     write_record(f"scaling-{config.env}-{config.reward}", record, table(found))

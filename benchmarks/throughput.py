@@ -7,7 +7,6 @@ last to the horizon; `run=RUN_DIR` at those of a run, when they end early.
 from __future__ import annotations
 
 import resource
-import shlex
 import sys
 import time
 from dataclasses import dataclass, replace
@@ -19,34 +18,29 @@ import jax
 import numpy as np
 
 from benchmarks.basics import matrix_rate, rollouts
+from benchmarks.choice import Choice, chosen, origin
 from benchmarks.flops import matrix_flops
 from benchmarks.records import write_record
 from benchmarks.startup import start_up
 from benchmarks.timing import Row, duration, rate, seconds, table
 from emrld_jax import algorithms
-from emrld_jax.demos.shipped import QUALITIES
 from emrld_jax.meta.learner import MetaLearner, MetaState, bucket_sizes
 from emrld_jax.runs import cli
 from emrld_jax.runs.checkpoints import Checkpoints
 from emrld_jax.runs.config import ConfigError, algorithm_settings, check_config
 from emrld_jax.runs.iteration import Together, initial
 from emrld_jax.runs.machines import split_cpu
-from emrld_jax.runs.provenance import machine, software
 from emrld_jax.runs.saved import load_config
 from emrld_jax.runs.setup import Setup, set_up, with_config
 from emrld_jax.sampling.rollouts import collector
 from emrld_jax.settings import setting
-from envs_jax import names
 from envs_jax.base import REWARDS
 
 
 @dataclass
-class ThroughputConfig:
+class ThroughputConfig(Choice):
     """All settings of the measurement."""
 
-    env: str = setting("point2d", "the environment", choices=names())
-    algo: str = setting("emrld", "the algorithm", choices=algorithms.names())
-    demos: str = setting("optimal", "the shipped demonstrations", choices=QUALITIES)
     reward: str = setting(
         "sparse", "dense: adaptation has to weigh every step from the start", choices=REWARDS
     )
@@ -204,9 +198,8 @@ class Bench:
 def _setup_and_state(config: ThroughputConfig) -> tuple[Setup, MetaState]:
     """What is measured, and where."""
     if config.run is None:
-        chosen = [f"env={config.env}", f"algo={config.algo}", f"demos={config.demos}"]
-        chosen += [f"env.reward={config.reward}"]
-        setup = set_up(cli.train_config(chosen))
+        arguments = [*chosen(config), f"env.reward={config.reward}"]
+        setup = set_up(cli.train_config(arguments))
         return setup, initial(setup).state
     folder = Path(config.run)
     setup = set_up(load_config(folder / "config.yaml"))
@@ -250,9 +243,7 @@ def main() -> int:
         *start_up([f"env={ran.env.name}", f"algo={ran.algo}", f"demos={ran.demos}"]),
     ]
     record = {
-        "command": shlex.join(["python", "-m", "benchmarks.throughput", *sys.argv[1:]]),
-        **software(),
-        "machine": machine(),
+        **origin("throughput"),
         "rows": [row._asdict() for row in rows],
     }
     where = "trained" if config.run else config.reward
