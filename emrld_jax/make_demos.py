@@ -7,7 +7,7 @@ import sys
 import time
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -20,6 +20,9 @@ from emrld_jax.runs.outputs import check_new_npz
 from emrld_jax.runs.usage import usage
 from emrld_jax.settings import setting
 from envs_jax import make, names
+
+if TYPE_CHECKING:
+    from emrld_jax.demos.making import Training
 
 
 @dataclass
@@ -35,11 +38,17 @@ class MakeDemosConfig:
     )
     seed: int = setting(0, "seed of all random numbers", at_least=0, at_most=10**9)
     out: str | None = setting(None, "file to write; null: demos/ENV_QUALITY.npz")
-    dense_iterations: int = setting(
-        60, "iterations of the expert on the dense reward, at the most", at_least=1
+    dense_iterations: int | None = setting(
+        None,
+        "iterations of the expert on the dense reward, at the most; null: what the environment "
+        "takes",
+        at_least=1,
     )
-    sparse_iterations: int = setting(
-        20, "then iterations on the sparse reward; for optimal demonstrations only", at_least=0
+    sparse_iterations: int | None = setting(
+        None,
+        "then iterations on the sparse reward; for optimal demonstrations only; null: what the "
+        "environment takes",
+        at_least=0,
     )
 
 
@@ -74,16 +83,16 @@ def make_file(config: MakeDemosConfig, out: Path) -> None:
     from rich.console import Console  # noqa: PLC0415
 
     from emrld_jax.demos import check_tasks, provenance, save  # noqa: PLC0415
-    from emrld_jax.demos.making import Training, make_demos  # noqa: PLC0415
+    from emrld_jax.demos.making import make_demos  # noqa: PLC0415
     from emrld_jax.runs.progress import ProgressView, tell  # noqa: PLC0415
     from emrld_jax.runs.provenance import software  # noqa: PLC0415
 
     console, env = Console(), make(config.env)
-    sparse = config.sparse_iterations if config.quality == "optimal" else 0
-    training = Training(config.dense_iterations, sparse)
-    before = {"dense": 0, "sparse": config.dense_iterations}  # iterations
+    training = chosen_training(config)
+    before = {"dense": 0, "sparse": training.dense_iterations}  # iterations
     told_at = time.perf_counter()
-    with ProgressView(console, 0, sum(training)) as view:
+    total = training.dense_iterations + training.sparse_iterations
+    with ProgressView(console, 0, total) as view:
 
         def report(reward: str, iteration: int, metrics: dict[str, Any]) -> None:
             nonlocal told_at
@@ -111,6 +120,20 @@ def make_file(config: MakeDemosConfig, out: Path) -> None:
     for split, values in figures.items():
         console.print(f"{split}: " + ", ".join(f"{k} {v}" for k, v in values.items()))
     console.print(f"wrote {out}")
+
+
+def chosen_training(config: MakeDemosConfig) -> Training:
+    """How long the expert trains: as the environment takes, unless the settings say otherwise."""
+    from emrld_jax.demos.making import default_training  # noqa: PLC0415
+
+    training = default_training(config.env)
+    if config.dense_iterations is not None:
+        training = training._replace(dense_iterations=config.dense_iterations)
+    if config.sparse_iterations is not None:
+        training = training._replace(sparse_iterations=config.sparse_iterations)
+    if config.quality == "suboptimal":
+        training = training._replace(sparse_iterations=0)
+    return training
 
 
 def summary(part: DemoSet) -> dict[str, Any]:

@@ -23,7 +23,8 @@ class Trajectory(NamedTuple):
     action: jax.Array  # [E, T, A], policy units, as sampled (unbounded)
     reward: jax.Array  # [E, T], after the action
     done: jax.Array  # [E, T], 1 where the environment ended the episode
-    success: jax.Array  # [E, T], 1 at a step that ended in success
+    success: jax.Array  # [E, T], 1 at a step that was a success
+    diverged: jax.Array  # [E, T], 1 at a step in which the simulation broke down
     mask: jax.Array  # [E, T], 1 up to and with the ending step
 
 

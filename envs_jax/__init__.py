@@ -7,13 +7,16 @@ from difflib import get_close_matches
 from typing import Any
 
 from envs_jax.base import Env, State
+from envs_jax.half_cheetah import HalfCheetah
 from envs_jax.point2d import Point2D
 from envs_jax.two_wheeled import TwoWheeled
 from envs_jax.two_wheeled_drift import TwoWheeledDrift
 
 __all__ = ["Env", "State", "make", "names"]
 
-_ENVIRONMENTS: dict[str, type] = {cls.name: cls for cls in (Point2D, TwoWheeled, TwoWheeledDrift)}
+_ENVIRONMENTS: dict[str, type] = {
+    cls.name: cls for cls in (Point2D, TwoWheeled, TwoWheeledDrift, HalfCheetah)
+}
 
 
 def names() -> tuple[str, ...]:

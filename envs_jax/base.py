@@ -21,7 +21,8 @@ class State:
         reward: reward of the last step, shape [].
         done: 1.0 if the episode ended at the last step (success or leaving the arena; never the
             horizon, which is the rollout's business), else 0.0, shape [].
-        metrics: figures of the last step; every environment reports `success`, shape [], 0 or 1.
+        metrics: figures of the last step; every environment reports `success` and `diverged` (the
+            simulation broke down, and ended the episode), shape [], 0 or 1.
         info: room for wrappers.
         task: what varies between tasks; each environment has its own NamedTuple.
     """
@@ -81,6 +82,10 @@ class Env(Protocol):
     def test_tasks(self) -> Any: ...
     def sample_task(self, key: jax.Array) -> Any: ...
     def reset(self, key: jax.Array, task: Any = None) -> State: ...
+    def reset_to(self, obs: jax.Array, task: Any) -> State:
+        """The start of an episode that begins where `obs` [O] was observed."""
+        ...
+
     def step(self, state: State, action: jax.Array) -> State: ...
     def to_physical(self, action: jax.Array) -> jax.Array: ...
     def to_policy(self, physical_action: jax.Array) -> jax.Array: ...
@@ -99,3 +104,18 @@ def scale_action(physical: jax.Array, low: tuple[float, ...], high: tuple[float,
     """
     lower, upper = jnp.asarray(low), jnp.asarray(high)
     return 2.0 * (physical - lower) / (upper - lower) - 1.0
+
+
+def check_parameters(reward: str, horizon: int, **sizes: float) -> None:
+    """Refuses impossible environment parameters; `sizes` are in meters.
+
+    Raises:
+        ValueError: an unknown reward, or a horizon or size that is not positive.
+    """
+    if reward not in REWARDS:
+        raise ValueError(f"reward={reward!r} is unknown; choose one of: {', '.join(REWARDS)}")
+    if horizon < 1:
+        raise ValueError(f"horizon={horizon} must be at least 1 step")
+    for name, value in sizes.items():
+        if not 0 < value < float("inf"):
+            raise ValueError(f"{name}={value} must be a positive number of meters")

@@ -7,8 +7,6 @@ from typing import NamedTuple
 import jax
 import jax.numpy as jnp
 
-from envs_jax.base import REWARDS
-
 
 class GoalTask(NamedTuple):
     """A task named by where to go."""
@@ -55,18 +53,3 @@ def goal_reward(
         return -distance
     near = jnp.where(distance <= reward_radius, 1.0 - distance, 0.0)
     return jnp.where(success, (horizon - t - 1).astype(distance.dtype), near)
-
-
-def check_parameters(reward: str, horizon: int, reward_radius: float, **sizes: float) -> None:
-    """Refuses impossible environment parameters.
-
-    Raises:
-        ValueError: an unknown reward, or a horizon or size that is not positive.
-    """
-    if reward not in REWARDS:
-        raise ValueError(f"reward={reward!r} is unknown; choose one of: {', '.join(REWARDS)}")
-    if horizon < 1:
-        raise ValueError(f"horizon={horizon} must be at least 1 step")
-    for name, value in {"reward_radius": reward_radius, **sizes}.items():
-        if not 0 < value < float("inf"):
-            raise ValueError(f"{name}={value} must be a positive number of meters")

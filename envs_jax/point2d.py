@@ -8,14 +8,8 @@ from typing import ClassVar, NamedTuple
 import jax
 import jax.numpy as jnp
 
-from envs_jax.base import State, scale_action, unscale_action
-from envs_jax.goals import (
-    GoalTask,
-    check_parameters,
-    goal_reward,
-    half_circle,
-    sample_half_circle,
-)
+from envs_jax.base import State, check_parameters, scale_action, unscale_action
+from envs_jax.goals import GoalTask, goal_reward, half_circle, sample_half_circle
 
 
 class Point(NamedTuple):
@@ -54,9 +48,8 @@ class Point2D:
     max_step: ClassVar[float] = 0.1  # m
 
     def __post_init__(self) -> None:
-        check_parameters(
-            self.reward, self.horizon, self.reward_radius, goal_radius=self.goal_radius
-        )
+        sizes = {"reward_radius": self.reward_radius, "goal_radius": self.goal_radius}
+        check_parameters(self.reward, self.horizon, **sizes)
 
     @property
     def observation_size(self) -> int:
@@ -94,11 +87,13 @@ class Point2D:
 
     def reset(self, key: jax.Array, task: GoalTask | None = None) -> State:
         """The start, at the origin; without a task, a random one."""
-        task = self.sample_task(key) if task is None else task
-        point = Point(jnp.zeros(2), jnp.zeros((), jnp.int32))
+        return self.reset_to(jnp.zeros(2), self.sample_task(key) if task is None else task)
+
+    def reset_to(self, obs: jax.Array, task: GoalTask) -> State:
+        """The start of an episode at the position `obs` [2]."""
         zero = jnp.zeros(())
-        metrics = {"success": zero, "distance": jnp.linalg.norm(task.goal)}
-        return State(point, point.position, zero, zero, metrics, {}, task)
+        metrics = {"success": zero, "diverged": zero, "distance": jnp.linalg.norm(obs - task.goal)}
+        return State(Point(obs, jnp.zeros((), jnp.int32)), obs, zero, zero, metrics, {}, task)
 
     def step(self, state: State, action: jax.Array) -> State:
         """Moves by the policy action [2]."""

@@ -8,8 +8,8 @@ from typing import Any, ClassVar, NamedTuple
 import jax
 import jax.numpy as jnp
 
-from envs_jax.base import State, scale_action, unscale_action
-from envs_jax.goals import check_parameters, goal_reward
+from envs_jax.base import State, check_parameters, scale_action, unscale_action
+from envs_jax.goals import goal_reward
 
 
 class Robot(NamedTuple):
@@ -70,9 +70,8 @@ class DifferentialDrive:
     arena: ClassVar[float] = 2.5  # m: the episode ends where |x| or |y| exceeds it
 
     def __post_init__(self) -> None:
-        check_parameters(
-            self.reward, self.horizon, self.reward_radius, goal_half_width=self.goal_half_width
-        )
+        sizes = {"reward_radius": self.reward_radius, "goal_half_width": self.goal_half_width}
+        check_parameters(self.reward, self.horizon, **sizes)
 
     @property
     def observation_size(self) -> int:
@@ -105,11 +104,14 @@ class DifferentialDrive:
 
     def reset(self, key: jax.Array, task: Any = None) -> State:
         """The start: at the origin, heading along x; without a task, a random one."""
-        task = self.sample_task(key) if task is None else task
-        robot = Robot(jnp.zeros(3), jnp.zeros((), jnp.int32))
+        return self.reset_to(jnp.zeros(3), self.sample_task(key) if task is None else task)
+
+    def reset_to(self, obs: jax.Array, task: Any) -> State:
+        """The start of an episode at the pose `obs` [3]."""
         zero = jnp.zeros(())
-        metrics = {"success": zero, "distance": jnp.linalg.norm(self.goal(task))}
-        return State(robot, robot.pose, zero, zero, metrics, {}, task)
+        distance = jnp.linalg.norm(obs[:2] - self.goal(task))
+        metrics = {"success": zero, "diverged": zero, "distance": distance}
+        return State(Robot(obs, jnp.zeros((), jnp.int32)), obs, zero, zero, metrics, {}, task)
 
     def step(self, state: State, action: jax.Array) -> State:
         """Drives for `dt` seconds with the policy action [2]."""

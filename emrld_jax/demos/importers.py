@@ -22,7 +22,7 @@ import envs_jax
 from emrld_jax.demos.archive import DemoError, read_npz
 from emrld_jax.demos.checks import TOLERANCE, task_fields
 from emrld_jax.demos.format import DemoFile, DemoSet, empty, provenance
-from emrld_jax.demos.replay import replay, state_at
+from emrld_jax.demos.replay import replay
 from emrld_jax.demos.unpickle import MAX_ITEMS, count_items, read_pickle
 from emrld_jax.types import Demos
 from envs_jax import Env
@@ -184,7 +184,7 @@ def _predict(recording: Recording, obs: np.ndarray, action: np.ndarray, env: Env
         return obs
     task = type(env.train_tasks())(**recording.task)
     return np.asarray(
-        jax.vmap(lambda o, a: env.step(state_at(env, o, task), a).obs)(
+        jax.vmap(lambda o, a: env.step(env.reset_to(o, task), a).obs)(
             jnp.asarray(obs), jnp.asarray(action)
         )
     )

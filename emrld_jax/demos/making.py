@@ -9,9 +9,10 @@ import jax
 import jax.numpy as jnp
 
 from emrld_jax.demos.archive import DemoError
+from emrld_jax.demos.claims import Played
 from emrld_jax.demos.expert import expert
 from emrld_jax.demos.format import DemoFile, DemoSet
-from emrld_jax.demos.quality import Played, best_try, check_quality, has_quality, near_misses
+from emrld_jax.demos.quality import best_try, check_quality, first_that_fits, has_quality
 from emrld_jax.demos.replay import replay
 from emrld_jax.meta.outer import Metrics
 from emrld_jax.policy import Policy
@@ -26,6 +27,16 @@ class Training(NamedTuple):
 
     dense_iterations: int
     sparse_iterations: int
+    num_episodes: int = 4  # a task and iteration
+
+
+# the dense reward of these is what they are judged by, so they train on nothing else
+TRAININGS = {"half_cheetah": Training(800, 0, num_episodes=20)}
+
+
+def default_training(name: str) -> Training:
+    """How long the expert of an environment trains unless told otherwise."""
+    return TRAININGS.get(name, Training(60, 20))
 
 
 def make_demos(name: str, quality: str, seed: int, training: Training, report: Report) -> DemoFile:
@@ -48,7 +59,7 @@ def make_demos(name: str, quality: str, seed: int, training: Training, report: R
     train_key, play_key = jax.random.split(jax.random.key(seed))
     if quality == "optimal":
         policy, params = train_expert(name, tasks, train_key, training, report)
-        played = best_try(name, policy, params, tasks)
+        played = best_try(name, policy, params, play_key, tasks)
     else:
         played = early_expert(name, tasks, train_key, play_key, training, report)
     check_quality(env, quality, played)
@@ -59,7 +70,10 @@ def train_expert(
     name: str, tasks: Task, key: jax.Array, training: Training, report: Report
 ) -> tuple[Policy, Params]:
     """An expert for the tasks [M], trained on the dense and then on the sparse reward."""
-    dense, sparse = (expert(make(name, reward=reward)) for reward in ("dense", "sparse"))
+    dense, sparse = (
+        expert(make(name, reward=reward), num_episodes=training.num_episodes)
+        for reward in ("dense", "sparse")
+    )
     init_key, dense_key, sparse_key = jax.random.split(key, 3)
     state = dense.init(init_key)
     for i in range(training.dense_iterations):
@@ -80,14 +94,15 @@ def early_expert(
     report: Report,
 ) -> Played:
     """Noisy trajectories, [M, ..], of an expert that stops when every task has one that fits."""
-    env, learner = make(name), expert(make(name, reward="dense"))
+    env = make(name)
+    learner = expert(make(name, reward="dense"), num_episodes=training.num_episodes)
     init_key, dense_key = jax.random.split(train_key)
     state = learner.init(init_key)
     for i in range(training.dense_iterations):
         state, metrics = learner.update(state, jax.random.fold_in(dense_key, i), tasks)
         report("dense", i + 1, metrics)
         # with the same noise each time: only the expert's progress decides when it is good enough
-        played = near_misses(name, learner.policy, state.policy, play_key, tasks)
+        played = first_that_fits(name, "suboptimal", learner.policy, state.policy, play_key, tasks)
         if bool(has_quality(env, "suboptimal", played).all()):
             break
     return played

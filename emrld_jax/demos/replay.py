@@ -2,13 +2,11 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
 from functools import partial
 
 import jax
 import jax.numpy as jnp
 
-from emrld_jax.demos.archive import DemoError
 from emrld_jax.types import Demos, Task
 from envs_jax import Env, State
 
@@ -29,20 +27,6 @@ def replay(env: Env, tasks: Task, demos: Demos) -> tuple[jax.Array, jax.Array]:
     return _replay_all(env, tasks, demos)
 
 
-def state_at(env: Env, obs: jax.Array, task: Task) -> State:
-    """The environment's state at the start of an episode that begins with `obs` [O].
-
-    Raises:
-        DemoError: the environment's physical state is more than its observation.
-    """
-    state = env.reset(jax.random.key(0), task)
-    physical = state.pipeline_state
-    name = getattr(physical, "_fields", ("",))[0]
-    if getattr(getattr(physical, name, None), "shape", None) != obs.shape:
-        raise DemoError(f"{env.name} cannot start from an observation, so nothing can be replayed")
-    return replace(state, pipeline_state=physical._replace(**{name: obs}), obs=obs)
-
-
 @partial(jax.jit, static_argnums=0)
 def _replay_all(env: Env, tasks: Task, demos: Demos) -> tuple[jax.Array, jax.Array]:
     return jax.vmap(lambda task, demo: _replay_one(env, task, demo))(tasks, demos)
@@ -61,6 +45,6 @@ def _replay_one(env: Env, task: Task, demo: Demos) -> tuple[jax.Array, jax.Array
         figures = (counts * state.reward, counts * state.metrics["success"])
         return (state, running * (1.0 - state.done)), figures
 
-    start = (state_at(env, demo.obs[0], task), jnp.ones(()))
+    start = (env.reset_to(demo.obs[0], task), jnp.ones(()))
     _, (rewards, success) = jax.lax.scan(step, start, (demo.action, exists))
     return jnp.sum(rewards), jnp.any(success > 0)

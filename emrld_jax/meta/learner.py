@@ -16,6 +16,7 @@ from emrld_jax.meta.batching import map_each, max_over_devices, mean_over_device
 from emrld_jax.meta.outer import Metrics, Objective, OuterOptimizer
 from emrld_jax.policy import Policy
 from emrld_jax.sampling.rollouts import (
+    episode_divergences,
     episode_returns,
     episode_successes,
     gather_living,
@@ -224,5 +225,6 @@ def _episode_metrics(experience: Experience) -> Metrics:
     for stage, rollout in enumerate(stages):
         metrics[f"adapt/return_{stage}"] = jnp.mean(episode_returns(rollout.trajectory))
         metrics[f"adapt/success_{stage}"] = jnp.mean(episode_successes(rollout.trajectory))
+        metrics[f"adapt/diverged_{stage}"] = jnp.sum(episode_divergences(rollout.trajectory))
         metrics[f"adapt/length_{stage}"] = jnp.mean(jnp.sum(rollout.trajectory.mask, axis=-1))
     return metrics

@@ -18,6 +18,7 @@ from emrld_jax.settings import (
 )
 from envs_jax import Env, make, names
 from envs_jax.base import REWARDS
+from envs_jax.physics import BACKENDS
 
 W_RL_OPTIMAL, W_RL_SUBOPTIMAL = 0.2, 1.0  # the paper's (section C)
 PATHS = ("demos", "file", "out", "resume", "run", "runs")  # taken literally: no grammar in a path
@@ -48,6 +49,22 @@ class EnvSettings:
     horizon: int = setting(100, "steps of an episode", at_least=1, at_most=100_000)
     reward_radius: float | None = setting(
         None, "m from the goal within which sparse reward is not 0; null: the paper's", above=0
+    )
+    zone_distance: float | None = setting(
+        None,
+        "half_cheetah: m from its start beyond which sparse reward is not 0; null: the paper's",
+        above=0,
+    )
+    backend: str | None = setting(
+        None,
+        "half_cheetah's physics: mujoco in C, or mjx; auto or null: C on a CPU, else MJX",
+        choices=BACKENDS,
+    )
+    mjx_iterations: int | None = setting(
+        None, "half_cheetah: of MJX's contact solver; null: as docs/half_cheetah.md", at_least=1
+    )
+    mjx_line_search: int | None = setting(
+        None, "half_cheetah: of MJX's line search; null: as docs/half_cheetah.md", at_least=1
     )
 
 

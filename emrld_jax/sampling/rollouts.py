@@ -20,8 +20,9 @@ def episode(env: Env, policy: Policy, params: Params, key: jax.Array, task: Task
         state, alive = carry
         action = sample(policy.apply(params, state.obs), noise)
         following = env.step(state, action)
-        success = following.metrics["success"]
-        record = Trajectory(state.obs, action, following.reward, following.done, success, alive)
+        success, diverged = following.metrics["success"], following.metrics["diverged"]
+        outcome = (following.reward, following.done, success, diverged)
+        record = Trajectory(state.obs, action, *outcome, alive)
         return (following, alive * (1.0 - following.done)), record
 
     start = (env.reset(reset_key, task), jnp.ones(()))
@@ -47,8 +48,13 @@ def episode_returns(trajectory: Trajectory) -> jax.Array:
 
 
 def episode_successes(trajectory: Trajectory) -> jax.Array:
-    """1 for each episode that ended in success, else 0. [.., T] -> [..]."""
-    return jnp.sum(trajectory.success * trajectory.mask, axis=-1)
+    """1 for each episode with a step that was a success, else 0. [.., T] -> [..]."""
+    return jnp.max(trajectory.success * trajectory.mask, axis=-1)
+
+
+def episode_divergences(trajectory: Trajectory) -> jax.Array:
+    """1 for each episode whose simulation broke down, else 0. [.., T] -> [..]."""
+    return jnp.max(trajectory.diverged * trajectory.mask, axis=-1)
 
 
 def living_steps(rollout: Rollout) -> jax.Array:

@@ -4,28 +4,32 @@ from __future__ import annotations
 
 from pathlib import Path
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
 
 import envs_jax
 from emrld_jax import demos
-from emrld_jax.demos.quality import Played, check_quality, end_distance, has_quality
+from emrld_jax.demos.claims import Played, end_distance
+from emrld_jax.demos.quality import check_quality, has_quality
 from emrld_jax.types import Demos
+from envs_jax.goals import GoalTask
 from tests.conftest import Command
 
 
 def played(distance: list[list[float]], length: list[int], success: list[int]) -> Played:
     """Episodes that are no more than their distances from the goal, [M, T]."""
     d = jnp.asarray(distance)
+    tasks = GoalTask(jnp.zeros((d.shape[0], 2)))
     mask = (jnp.arange(d.shape[1])[None] < jnp.asarray(length)[:, None]).astype(jnp.float32)
     blank = jnp.zeros((*d.shape, 2))
-    return Played(Demos(blank, blank, mask), d, jnp.asarray(success, jnp.float32))
+    return Played(Demos(blank, blank, mask), -d, jnp.asarray(success, jnp.float32), tasks)
 
 
 def test_the_end_is_the_last_step_that_exists():
     episodes = played([[1.0, 0.5, 9.0], [1.0, 0.7, 0.3]], [2, 3], [0, 0])
-    np.testing.assert_allclose(end_distance(episodes), [0.5, 0.3])
+    np.testing.assert_allclose(jax.vmap(end_distance)(episodes), [0.5, 0.3])
 
 
 @pytest.mark.parametrize(

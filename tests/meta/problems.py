@@ -23,7 +23,7 @@ def random_rollout(seed: int, size: int = 12, living: int = 9) -> Rollout:
     obs, action = (jnp.asarray(rng.normal(size=(size, 2))) for _ in range(2))
     mask = jnp.asarray((np.arange(size) < living).astype(float))
     zero = jnp.zeros_like(mask)
-    steps = Trajectory(obs, action, zero, zero, zero, mask)
+    steps = Trajectory(obs, action, zero, zero, zero, zero, mask)
     return Rollout(steps, jnp.asarray(rng.normal(size=size)) * mask)
 
 

@@ -31,7 +31,7 @@ def canned(lengths: tuple[int, ...], seed: int = 0) -> Rollout:
     success = last & (np.arange(len(lengths)) % 2 == 0)[:, None]
     obs, action = (jnp.asarray(rng.normal(size=(*shape, 2)), jnp.float32) for _ in range(2))
     advantage = jnp.asarray(rng.normal(size=shape) * mask, jnp.float32)
-    numbers = [jnp.asarray(x, jnp.float32) for x in (np.ones(shape), last, success, mask)]
+    numbers = [jnp.asarray(x, jnp.float32) for x in (np.ones(shape), last, success, last, mask)]
     return Rollout(Trajectory(obs, action, *numbers), advantage)
 
 

@@ -32,6 +32,7 @@ def episodes(seed: int = 0, horizon: int = HORIZON) -> Trajectory:
         reward=jnp.asarray(rng.normal(size=mask.shape)),
         done=jnp.zeros(mask.shape),
         success=jnp.zeros(mask.shape),
+        diverged=jnp.zeros(mask.shape),
         mask=jnp.asarray(mask),
     )
 

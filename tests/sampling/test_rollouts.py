@@ -16,6 +16,7 @@ from emrld_jax.sampling.advantages import advantages
 from emrld_jax.sampling.rollouts import (
     collector,
     episode,
+    episode_divergences,
     episode_returns,
     episode_successes,
     gather_living,
@@ -55,8 +56,8 @@ def by_hand(env: Env, policy: Policy, params: Any, key: jax.Array, task: Any) ->
         mean, log_std = policy.apply(params, state.obs)
         action = np.asarray(mean) + np.exp(np.asarray(log_std)) * np.asarray(noise[t])
         following = env.step(state, jnp.asarray(action))
-        success = following.metrics["success"]
-        rows.append((state.obs, action, following.reward, following.done, success, 1.0))
+        outcome = (following.metrics["success"], following.metrics["diverged"])
+        rows.append((state.obs, action, following.reward, following.done, *outcome, 1.0))
         state = following
         if following.done:
             break
@@ -122,17 +123,19 @@ def test_a_walk_past_no_goal_lasts_until_the_horizon_and_is_no_success() -> None
     np.testing.assert_array_equal(episode_successes(result), 0.0)
 
 
-def test_returns_and_successes_count_only_what_exists() -> None:
+def test_figures_of_episodes_count_only_what_exists() -> None:
     trajectory = Trajectory(
         obs=jnp.zeros((2, 3, 1)),
         action=jnp.zeros((2, 3, 1)),
         reward=jnp.array([[1.0, 2.0, 40.0], [1.0, 2.0, 3.0]]),
         done=jnp.zeros((2, 3)),
-        success=jnp.array([[0.0, 1.0, 1.0], [0.0, 0.0, 0.0]]),
+        success=jnp.array([[1.0, 1.0, 1.0], [0.0, 0.0, 0.0]]),
+        diverged=jnp.array([[0.0, 0.0, 1.0], [0.0, 0.0, 1.0]]),
         mask=jnp.array([[1.0, 1.0, 0.0], [1.0, 1.0, 1.0]]),
     )
     np.testing.assert_array_equal(episode_returns(trajectory), [3.0, 6.0])
     np.testing.assert_array_equal(episode_successes(trajectory), [1.0, 0.0])
+    np.testing.assert_array_equal(episode_divergences(trajectory), [0.0, 1.0])
 
 
 def test_the_collector_gives_each_episode_its_own_key_and_its_advantages() -> None:
@@ -152,10 +155,10 @@ def random_rollout(lengths: tuple[int, ...], horizon: int = 5) -> Rollout:
     shape = (len(lengths), horizon)
     mask = (np.arange(horizon) < np.array(lengths)[:, None]).astype(np.float32)
     obs, action = (jnp.asarray(rng.normal(size=(*shape, 2)), jnp.float32) for _ in range(2))
-    reward, done, success, advantage = (
-        jnp.asarray(rng.normal(size=shape), jnp.float32) for _ in range(4)
+    reward, done, success, diverged, advantage = (
+        jnp.asarray(rng.normal(size=shape), jnp.float32) for _ in range(5)
     )
-    trajectory = Trajectory(obs, action, reward, done, success, jnp.asarray(mask))
+    trajectory = Trajectory(obs, action, reward, done, success, diverged, jnp.asarray(mask))
     return Rollout(trajectory, advantage)
 
 
