@@ -62,11 +62,6 @@ class Env(Protocol):
     @property
     def reward(self) -> str: ...
     @property
-    def reward_radius(self) -> float:
-        """The sparse reward is 0 farther from the goal than this (m)."""
-        ...
-
-    @property
     def horizon(self) -> int: ...
     @property
     def dt(self) -> float:

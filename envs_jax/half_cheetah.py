@@ -132,8 +132,11 @@ class HalfCheetah:
 
     def reset_to(self, obs: jax.Array, task: CheetahTask) -> State:
         """The start of an episode that begins where `obs` [20] was observed."""
-        qpos = jnp.concatenate([obs[17:18], obs[:8]])
-        return self._begin(pack(qpos, obs[8:17]), task)
+        return self._begin(pack(self.positions(obs), obs[8:17]), task)
+
+    def positions(self, obs: jax.Array) -> jax.Array:
+        """The joints' positions that were observed. [.., 20] -> [.., 9]."""
+        return jnp.concatenate([obs[..., 17:18], obs[..., :8]], axis=-1)
 
     def _begin(self, body: jax.Array, task: CheetahTask) -> State:
         zero = jnp.zeros(())

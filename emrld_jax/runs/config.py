@@ -154,6 +154,7 @@ class EvaluateConfig:
     deterministic: bool = setting(
         False, "evaluate the mean action; episodes for adaptation are sampled all the same"
     )
+    video: bool = setting(False, "film an episode of each direction too (half_cheetah)")
     demos: str | None = setting(None, "demonstrations to adapt with; null: those of the run")
     seed: int = setting(0, "seed of all random numbers", at_least=0, at_most=10**9)
     adapt: AdaptSettings = field(default_factory=AdaptSettings)

@@ -14,9 +14,10 @@ from emrld_jax.runs.checkpoints import Checkpoints
 from emrld_jax.runs.config import ConfigError, EvaluateConfig
 from emrld_jax.runs.evaluation import evaluator, summarize
 from emrld_jax.runs.files import write_json
+from emrld_jax.runs.film import film, prepare_films
 from emrld_jax.runs.folder import RunFolder, new_folder
 from emrld_jax.runs.iteration import initial
-from emrld_jax.runs.pictures import adaptation_curve, is_planar, trajectories
+from emrld_jax.runs.pictures import adaptation_curve, draw_episodes, num_drawn
 from emrld_jax.runs.progress import tell
 from emrld_jax.runs.provenance import provenance, read_provenance, sha256
 from emrld_jax.runs.report import SPLITS, before_and_after, with_interval
@@ -46,6 +47,8 @@ def evaluate_run(config: EvaluateConfig, console: Console) -> int:
             f"{SPLITS[config.tasks]} tasks; tasks={_other(config.tasks)} takes the others"
         )
     _tell_of_other_demonstrations(setup, folder, console)
+    if config.video:
+        prepare_films(setup.env)
     params, iteration = _newest(setup, folder, console)
     title = f"{trained.env.name}, {trained.algo}: {SPLITS[config.tasks]} tasks"
     title += ", mean action" * config.deterministic
@@ -58,6 +61,7 @@ def evaluate_run(config: EvaluateConfig, console: Console) -> int:
         setup.learner,
         config.adapt,
         config.episodes,
+        kept=num_drawn(setup.env, config.episodes),
         deterministic=config.deterministic,
     )
     evaluation = evaluate(params, evaluation_key(config.seed), demos.tasks, demos.demos)
@@ -69,9 +73,10 @@ def evaluate_run(config: EvaluateConfig, console: Console) -> int:
     }
     target = new_folder(folder.evaluations / _name(config))
     adaptation_curve(results["stages"], title, target / "adaptation")
-    if is_planar(setup.env):
-        panels = before_and_after(SPLITS[config.tasks], demos, evaluation)
-        trajectories(setup.env, panels, title, target / "trajectories")
+    panels = before_and_after(SPLITS[config.tasks], demos, evaluation)
+    draw_episodes(setup.env, panels, title, target)
+    if config.video:
+        film(setup.env, panels, target)
     save_config(config, target / "config.yaml")
     write_json(target / "evaluation.json", results)
     console.print(_table(results["stages"], f"{title}, after {iteration} meta-iterations"))

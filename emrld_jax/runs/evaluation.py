@@ -22,7 +22,6 @@ from emrld_jax.types import Demos, Params, Task
 from envs_jax import Env
 
 RESAMPLES = 2000  # of the bootstrap
-PATHS = 3  # episodes whose observations are kept, for pictures
 
 
 class Evaluation(NamedTuple):
@@ -30,8 +29,8 @@ class Evaluation(NamedTuple):
 
     returns: Any  # [M, S, E], undiscounted
     successes: Any  # [M, S, E], 0 or 1
-    obs: Any  # [M, S, PATHS, T, O]
-    mask: Any  # [M, S, PATHS, T]
+    obs: Any  # [M, S, P, T, O], of the first P episodes
+    mask: Any  # [M, S, P, T]
 
 
 Evaluate = Callable[[Params, jax.Array, Task, Demos], Evaluation]  # (params, key, tasks, demos)
@@ -43,6 +42,7 @@ def evaluator(
     adapt: AdaptSettings,
     episodes: int,
     *,
+    kept: int = 0,
     deterministic: bool = False,
 ) -> Evaluate:
     """What adapts to each task and then rolls out `episodes` episodes at every stage; compiled.
@@ -51,6 +51,7 @@ def evaluator(
     the first.
 
     Args:
+        kept: episodes whose observations are kept, P.
         deterministic: roll out the mean action; adaptation samples its episodes all the same.
     """
     policy = learner.policy
@@ -63,8 +64,8 @@ def evaluator(
         return Evaluation(
             episode_returns(rollouts),
             episode_successes(rollouts),
-            rollouts.obs[:PATHS],
-            rollouts.mask[:PATHS],
+            rollouts.obs[:kept],
+            rollouts.mask[:kept],
         )
 
     def of_task(params: Params, key: jax.Array, task: Task, demos: Demos) -> Evaluation:

@@ -19,7 +19,8 @@ from emrld_jax.runs.files import write_json
 from emrld_jax.runs.folder import RunFolder
 from emrld_jax.runs.iteration import Standing, streams
 from emrld_jax.runs.metrics import read_metrics
-from emrld_jax.runs.pictures import Panel, is_planar, learning_curve, trajectories
+from emrld_jax.runs.panels import Panel
+from emrld_jax.runs.pictures import draw_episodes, learning_curve, num_drawn
 from emrld_jax.runs.progress import tell
 from emrld_jax.runs.setup import Setup, learner_with
 from emrld_jax.runs.variants import differences
@@ -39,7 +40,9 @@ def report_all(
     def evaluate(own: Any, params: Params, key: jax.Array, tasks: Task, demos: Demos) -> Evaluation:
         learner, settings = learner_with(shared, own), with_values(shared.config, own)
         episodes = shared.config.evaluation_episodes
-        return evaluator(shared.env, learner, settings.adapt, episodes)(params, key, tasks, demos)
+        kept = num_drawn(shared.env, episodes)
+        evaluate = evaluator(shared.env, learner, settings.adapt, episodes, kept=kept)
+        return evaluate(params, key, tasks, demos)
 
     found = []
     for k, (setup, folder) in enumerate(zip(setups, folders, strict=True)):
@@ -74,8 +77,7 @@ def _report(
             panels += before_and_after(words, demos, evaluation)
     title = f"{config.env.name}, {config.algo}, {setup.demos.quality} demonstrations"
     learning_curve(read_metrics(folder.metrics), title, folder.path / "learning_curve")
-    if is_planar(setup.env):
-        trajectories(setup.env, panels, title, folder.path / "trajectories")
+    draw_episodes(setup.env, panels, title, folder.path)
     write_json(folder.results, results)
     return results
 
