@@ -52,7 +52,7 @@ class HalfCheetah:
     zone_distance: float = 2.0
     backend: str = "auto"
     mjx_iterations: int = 4
-    mjx_line_search: int = 8
+    mjx_line_search: int = 4
 
     name: ClassVar[str] = "half_cheetah"
     model: ClassVar[str] = "half_cheetah"

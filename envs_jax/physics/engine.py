@@ -8,7 +8,6 @@ from threading import Lock
 from typing import Any
 
 import jax
-import jax.numpy as jnp
 import mujoco
 import numpy as np
 from mujoco.batch import Batch, SimulationError
@@ -26,17 +25,23 @@ class Engine:
     """Advances bodies with the engine in C.
 
     The results do not depend on the number of threads, nor on what is simulated beside.
+
+    Args:
+        model: a `mujoco.MjModel`.
+        frame_skip: physics steps an environment step.
+        threads: how many to use; None: one for each core that this process may use.
     """
 
-    def __init__(self, model: Any, frame_skip: int) -> None:
+    def __init__(self, model: Any, frame_skip: int, threads: int | None = None) -> None:
         self._nq, self._nv = model.nq, model.nv
         self._model, self._frame_skip = model, frame_skip
+        self._threads = threads or _usable_cores()
         self._batches: dict[int, Batch] = {}
         self._lock = Lock()  # devices of one process call at the same time; a batch serves one
 
     def advance(self, body: jax.Array, control: jax.Array) -> Advanced:
         """The body after `frame_skip` physics steps; vmapped, one call for the whole batch."""
-        result = jax.ShapeDtypeStruct((body.shape[-1] + 1,), jnp.float32)
+        result = jax.ShapeDtypeStruct((body.shape[-1] + 1,), body.dtype)
         packed = jax.pure_callback(
             self._advance_all, result, body, control, vmap_method="broadcast_all"
         )
@@ -46,7 +51,7 @@ class Engine:
         """Bodies [.., B] and controls [.., nu] -> [.., B + 1]; NumPy only: JAX waits for this."""
         before = np.asarray(bodies)
         shape, before = before.shape[:-1], before.reshape(-1, before.shape[-1])
-        after = np.empty((len(before), before.shape[1] + 1), np.float32)
+        after = np.empty((len(before), before.shape[1] + 1), before.dtype)
         with self._lock:
             batch = self._batch(prod(shape))
             broken = self._step(batch, before, np.asarray(controls).reshape(len(before), -1))
@@ -57,8 +62,7 @@ class Engine:
 
     def _batch(self, size: int) -> Batch:
         if size not in self._batches:
-            threads = len(os.sched_getaffinity(0))
-            self._batches[size] = Batch(self._model, size, min(threads, size))
+            self._batches[size] = Batch(self._model, size, min(self._threads, size))
         return self._batches[size]
 
     def _step(self, batch: Batch, bodies: np.ndarray, controls: np.ndarray) -> np.ndarray:
@@ -82,3 +86,10 @@ class Engine:
         bodies[:, :nq] = batch.qpos
         bodies[:, nq : nq + nv] = batch.qvel
         bodies[:, nq + nv :] = batch.qacc_warmstart
+
+
+def _usable_cores() -> int:
+    """How many cores this process may run on."""
+    if hasattr(os, "sched_getaffinity"):
+        return len(os.sched_getaffinity(0))
+    return os.cpu_count() or 1

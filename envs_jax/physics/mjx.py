@@ -46,9 +46,10 @@ class Mjx:
         data = self._data.replace(
             qpos=body[:nq], qvel=body[nq : nq + nv], qacc_warmstart=body[nq + nv :], ctrl=control
         )
-        data, _ = jax.lax.scan(
-            lambda data, _: (mjx.step(self._model, data), None), data, length=self._frame_skip
-        )
+        with jax.numpy_rank_promotion("allow"):  # MJX relies on it; callers may have forbidden it
+            data, _ = jax.lax.scan(
+                lambda data, _: (mjx.step(self._model, data), None), data, length=self._frame_skip
+            )
         after = jnp.concatenate([data.qpos, data.qvel, data.qacc_warmstart])
         fine = jnp.all(jnp.abs(after) < LARGEST)  # false for NaN, too
         return Advanced(jnp.where(fine, after, body), 1.0 - fine)
