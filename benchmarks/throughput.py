@@ -34,7 +34,9 @@ from emrld_jax.runs.saved import load_config
 from emrld_jax.runs.setup import Setup, set_up, with_config
 from emrld_jax.sampling.rollouts import collector
 from emrld_jax.settings import setting
+from envs_jax import Env, make
 from envs_jax.base import REWARDS
+from envs_jax.physics import BACKENDS
 
 
 @dataclass
@@ -47,6 +49,14 @@ class ThroughputConfig(Choice):
     run: str | None = setting(None, "run folder whose parameters are taken; null: the first ones")
     num_seeds: int = setting(1, "seeds trained side by side in one program", at_least=1)
     devices: int = setting(1, "devices that share them; a CPU is split into as many", at_least=1)
+    backend: str | None = setting(
+        None,
+        "half_cheetah's physics; both: mujoco's, and beside it how fast mjx collects",
+        choices=(*BACKENDS, "both"),
+    )
+    simulations: list[int] = setting(
+        [], "also how fast as many of half_cheetah's simulations at once are", at_least=2
+    )
     repetitions: int = setting(9, "of each measurement", at_least=2)
 
 
@@ -199,6 +209,8 @@ def _setup_and_state(config: ThroughputConfig) -> tuple[Setup, MetaState]:
     """What is measured, and where."""
     if config.run is None:
         arguments = [*chosen(config), f"env.reward={config.reward}"]
+        if config.backend is not None:
+            arguments.append(f"env.backend={_main_backend(config)}")
         setup = set_up(cli.train_config(arguments))
         return setup, initial(setup).state
     folder = Path(config.run)
@@ -208,6 +220,29 @@ def _setup_and_state(config: ThroughputConfig) -> tuple[Setup, MetaState]:
     if restored is None:
         raise SystemExit(f"{folder} has no checkpoint")
     return setup, restored.state
+
+
+def _main_backend(config: ThroughputConfig) -> str | None:
+    return "mujoco" if config.backend == "both" else config.backend
+
+
+def _other_rollouts(bench: Bench, config: ThroughputConfig) -> list[Row]:
+    """Rollouts with the other backend, and with other numbers of simulations at once."""
+    env, adapt = bench.setup.env, bench.adapt
+    wanted: dict[str, tuple[Env, int]] = {}
+    if config.backend == "both":
+        other = make(env.name, reward=env.reward, horizon=env.horizon, backend="mjx")
+        wanted[", backend=mjx"] = (other, bench.tasks * adapt.num_episodes)
+    for number in config.simulations:
+        wanted[f", {number} simulations at once"] = (env, number)
+    tasks = env.test_tasks() if config.simulations else bench.part.tasks
+    rows = []
+    for words, (own, number) in wanted.items():
+        policy, params = bench.setup.learner.policy, bench.state.params
+        episodes = number // jax.tree.leaves(tasks)[0].shape[0]
+        found = rollouts(own, policy, params, tasks, episodes, config.repetitions)
+        rows += [row._replace(what=row.what + words) for row in found]
+    return rows
 
 
 def main() -> int:
@@ -234,6 +269,7 @@ def main() -> int:
             bench.adapt.num_episodes,
             config.repetitions,
         ),
+        *_other_rollouts(bench, config),
         bench.adaptations(),
         *bench.iterations(),
         *bench.matrix_share(peak, f"1 of {every} steps"),

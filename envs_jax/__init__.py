@@ -7,12 +7,13 @@ from difflib import get_close_matches
 from typing import Any
 
 from envs_jax.base import Env, State
+from envs_jax.brax_like import Tasks, from_brax
 from envs_jax.half_cheetah import HalfCheetah
 from envs_jax.point2d import Point2D
 from envs_jax.two_wheeled import TwoWheeled
 from envs_jax.two_wheeled_drift import TwoWheeledDrift
 
-__all__ = ["Env", "State", "make", "names"]
+__all__ = ["Env", "State", "Tasks", "from_brax", "make", "names"]
 
 _ENVIRONMENTS: dict[str, type] = {
     cls.name: cls for cls in (Point2D, TwoWheeled, TwoWheeledDrift, HalfCheetah)

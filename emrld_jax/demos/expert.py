@@ -52,6 +52,7 @@ def expert(
     env: Env,
     *,
     num_episodes: int = 4,
+    activation: str = "tanh",
     std: float = 0.6,
     max_kl: float = 0.02,
     discount: float = 0.99,
@@ -63,12 +64,18 @@ def expert(
 
     Args:
         num_episodes: episodes a task and iteration.
+        activation: of the policy's hidden units.
         std: standard deviation at the start, in policy units; it is learned.
         value_steps: full-batch Adam steps of the value network an iteration.
     """
     width = env.observation_size + task_vector(env.sample_task(jax.random.key(0))).size
     policy = gaussian_policy(
-        width, env.action_size, hidden_sizes=HIDDEN_SIZES, std=std, learn_std=True
+        width,
+        env.action_size,
+        hidden_sizes=HIDDEN_SIZES,
+        activation=activation,
+        std=std,
+        learn_std=True,
     )
     value = value_network(
         width + 1, HIDDEN_SIZES, discount, value_learning_rate, value_steps, every=EVERY
