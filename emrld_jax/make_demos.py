@@ -104,7 +104,7 @@ def make_file(config: MakeDemosConfig, out: Path) -> None:
             view.show(before[reward] + iteration, figures, told_at - last)
 
         file = make_demos(config.env, config.quality, config.seed, training, report)
-    if config.quality == "suboptimal":
+    if not training.sparse_iterations:
         tell(console, "stopped: for every task there is a try that fits")
     figures = {"train": summary(file.train), "test": summary(file.test)}
     told = [argument for argument in sys.argv[1:] if not argument.startswith("out=")]

@@ -12,11 +12,10 @@ from emrld_jax.demos.archive import DemoError
 from emrld_jax.demos.claims import Played
 from emrld_jax.demos.expert import expert
 from emrld_jax.demos.format import DemoFile, DemoSet
-from emrld_jax.demos.quality import best_try, check_quality, first_that_fits, has_quality
+from emrld_jax.demos.quality import check_quality, first_that_fits, has_quality
 from emrld_jax.demos.replay import replay
 from emrld_jax.meta.outer import Metrics
-from emrld_jax.policy import Policy
-from emrld_jax.types import Params, Task
+from emrld_jax.types import Task
 from envs_jax import Env, make
 
 Report = Callable[[str, int, Metrics], None]  # (reward, iteration, metrics)
@@ -28,10 +27,11 @@ class Training(NamedTuple):
     dense_iterations: int
     sparse_iterations: int
     num_episodes: int = 4  # a task and iteration
+    try_every: int = 1  # iterations, where it ends as soon as its episodes fit
 
 
 # the dense reward of these is what they are judged by, so they train on nothing else
-TRAININGS = {"half_cheetah": Training(800, 0, num_episodes=20)}
+TRAININGS = {"half_cheetah": Training(1000, 0, num_episodes=30, try_every=10)}
 
 
 def default_training(name: str) -> Training:
@@ -45,7 +45,7 @@ def make_demos(name: str, quality: str, seed: int, training: Training, report: R
     Args:
         name: of the environment.
         quality: "optimal": the mean action of a trained expert; "suboptimal": noisy actions of an
-            expert that stopped training early, cut off where they came near the goal.
+            expert that stopped training early, cut off before they achieve anything.
         seed: of all random numbers.
         training: how long the expert trains.
         report: told after each iteration.
@@ -56,25 +56,30 @@ def make_demos(name: str, quality: str, seed: int, training: Training, report: R
     env = make(name)
     train, test = env.train_tasks(), env.test_tasks()
     tasks = jax.tree.map(lambda a, b: jnp.concatenate([a, b]), train, test)
-    train_key, play_key = jax.random.split(jax.random.key(seed))
-    if quality == "optimal":
-        policy, params = train_expert(name, tasks, train_key, training, report)
-        played = best_try(name, policy, params, play_key, tasks)
+    expert_keys = (*jax.random.split(jax.random.key(seed)), training, report)
+    if training.sparse_iterations:
+        played = after_training(name, quality, tasks, *expert_keys)
     else:
-        played = early_expert(name, tasks, train_key, play_key, training, report)
+        played = once_it_fits(name, quality, tasks, *expert_keys)
     check_quality(env, quality, played)
     return _as_file(env, quality, train, test, played)
 
 
-def train_expert(
-    name: str, tasks: Task, key: jax.Array, training: Training, report: Report
-) -> tuple[Policy, Params]:
-    """An expert for the tasks [M], trained on the dense and then on the sparse reward."""
+def after_training(
+    name: str,
+    quality: str,
+    tasks: Task,
+    train_key: jax.Array,
+    play_key: jax.Array,
+    training: Training,
+    report: Report,
+) -> Played:
+    """Trajectories, [M, ..], of an expert trained on the dense and then on the sparse reward."""
     dense, sparse = (
         expert(make(name, reward=reward), num_episodes=training.num_episodes)
         for reward in ("dense", "sparse")
     )
-    init_key, dense_key, sparse_key = jax.random.split(key, 3)
+    init_key, dense_key, sparse_key = jax.random.split(train_key, 3)
     state = dense.init(init_key)
     for i in range(training.dense_iterations):
         state, metrics = dense.update(state, jax.random.fold_in(dense_key, i), tasks)
@@ -82,28 +87,32 @@ def train_expert(
     for i in range(training.sparse_iterations):
         state, metrics = sparse.update(state, jax.random.fold_in(sparse_key, i), tasks)
         report("sparse", i + 1, metrics)
-    return sparse.policy, state.policy
+    return first_that_fits(name, quality, sparse.policy, state.policy, play_key, tasks)
 
 
-def early_expert(
+def once_it_fits(
     name: str,
+    quality: str,
     tasks: Task,
     train_key: jax.Array,
     play_key: jax.Array,
     training: Training,
     report: Report,
 ) -> Played:
-    """Noisy trajectories, [M, ..], of an expert that stops when every task has one that fits."""
+    """Trajectories, [M, ..], of an expert that stops when every task has one that fits."""
     env = make(name)
     learner = expert(make(name, reward="dense"), num_episodes=training.num_episodes)
     init_key, dense_key = jax.random.split(train_key)
     state = learner.init(init_key)
     for i in range(training.dense_iterations):
+        last = i + 1 == training.dense_iterations
         state, metrics = learner.update(state, jax.random.fold_in(dense_key, i), tasks)
         report("dense", i + 1, metrics)
+        if (i + 1) % training.try_every and not last:
+            continue
         # with the same noise each time: only the expert's progress decides when it is good enough
-        played = first_that_fits(name, "suboptimal", learner.policy, state.policy, play_key, tasks)
-        if bool(has_quality(env, "suboptimal", played).all()):
+        played = first_that_fits(name, quality, learner.policy, state.policy, play_key, tasks)
+        if bool(has_quality(env, quality, played).all()):
             break
     return played
 

@@ -17,7 +17,7 @@ from emrld_jax.sampling.rollouts import episode, episode_successes
 from emrld_jax.types import Demos, Params, Task
 from envs_jax import Env, make
 
-CANDIDATES = 64  # noisy episodes a task, of which the first that fits is kept
+CANDIDATES = 64  # episodes a task, of which the first that fits is kept
 
 
 @partial(jax.jit, static_argnums=(0, 1, 5))
@@ -39,19 +39,16 @@ def play(
     return jax.vmap(of_task)(jax.random.split(key, jax.tree.leaves(tasks)[0].shape[0]), tasks)
 
 
-def best_try(name: str, policy: Policy, params: Params, key: jax.Array, tasks: Task) -> Played:
-    """The mean action's episode for each task; fields [M, ..]."""
-    played = play(name, mean_action(policy), params, key, tasks, 1)
-    return jax.tree.map(lambda x: x[:, 0], played)
-
-
 def first_that_fits(
     name: str, quality: str, policy: Policy, params: Params, key: jax.Array, tasks: Task
 ) -> Played:
-    """Each task's first noisy episode that has the quality when cut off; fields [M, ..]."""
+    """Each task's first episode that has the quality when cut off; fields [M, ..].
+
+    Optimal ones are played with the mean action, all others with the policy's noise.
+    """
     env = make(name)
-    noisy = play(name, policy, params, key, tasks, CANDIDATES)
-    cut = _each(claim(env, quality).cut, noisy)
+    played_by = mean_action(policy) if quality == "optimal" else policy
+    cut = _each(claim(env, quality).cut, play(name, played_by, params, key, tasks, CANDIDATES))
     first = jnp.argmax(has_quality(env, quality, cut), axis=1)
     return jax.tree.map(lambda x: jax.vmap(lambda row, i: row[i])(x, first), cut)
 
