@@ -84,6 +84,7 @@ def gaussian_policy(
     std: float = 0.5,
     output_scale: float = 1.0,
     start_at_zero: bool = False,
+    squash: bool = False,
     learn_std: bool = False,
 ) -> Policy:
     """A Gaussian policy whose mean is an MLP of the observation (supplement, section C).
@@ -92,6 +93,8 @@ def gaussian_policy(
         std: standard deviation of every action dimension, in policy units.
         output_scale: factor on the last layer's initial weights.
         start_at_zero: make the initial mean 0 at every observation; needs a hidden layer.
+        squash: the network sees arcsinh of the observation, which leaves small numbers as they are
+            and keeps large ones, such as joints' velocities, from saturating its units.
         learn_std: make the logarithm of the standard deviation a parameter, starting from `std`;
             otherwise it is constant, as in the paper.
 
@@ -109,7 +112,8 @@ def gaussian_policy(
         return {**params, "log_std": initial} if learn_std else params
 
     def apply(params: Params, obs: jax.Array) -> Gaussian:
-        mean = cast(jax.Array, network.apply({"params": params["params"]}, obs))
+        inputs = jnp.arcsinh(obs) if squash else obs
+        mean = cast(jax.Array, network.apply({"params": params["params"]}, inputs))
         log_std = params["log_std"] if learn_std else initial
         return Gaussian(mean, jnp.broadcast_to(log_std, mean.shape))
 

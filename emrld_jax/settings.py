@@ -100,6 +100,9 @@ class PolicySettings:
     start_at_zero: bool = setting(
         False, "make the first mean action 0 at every observation; needs a hidden layer"
     )
+    squash: bool = setting(
+        False, "let the network see arcsinh of the observation: large numbers saturate no unit"
+    )
     learn_std: bool = setting(False, "learn the standard deviation, starting from policy.std")
 
 

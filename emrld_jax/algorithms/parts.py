@@ -31,6 +31,7 @@ def trpo_learner(env: Env, settings: Settings, inner_steps: InnerSteps) -> MetaL
         std=net.std,
         output_scale=net.output_scale,
         start_at_zero=net.start_at_zero,
+        squash=net.squash,
         learn_std=net.learn_std,
     )
     return meta_learner(

@@ -52,7 +52,7 @@ def expert(
     env: Env,
     *,
     num_episodes: int = 4,
-    activation: str = "tanh",
+    squash: bool = False,
     std: float = 0.6,
     max_kl: float = 0.02,
     discount: float = 0.99,
@@ -64,7 +64,7 @@ def expert(
 
     Args:
         num_episodes: episodes a task and iteration.
-        activation: of the policy's hidden units.
+        squash: the networks see arcsinh of the observation.
         std: standard deviation at the start, in policy units; it is learned.
         value_steps: full-batch Adam steps of the value network an iteration.
     """
@@ -73,12 +73,18 @@ def expert(
         width,
         env.action_size,
         hidden_sizes=HIDDEN_SIZES,
-        activation=activation,
         std=std,
+        squash=squash,
         learn_std=True,
     )
     value = value_network(
-        width + 1, HIDDEN_SIZES, discount, value_learning_rate, value_steps, every=EVERY
+        width + 1,
+        HIDDEN_SIZES,
+        discount,
+        value_learning_rate,
+        value_steps,
+        every=EVERY,
+        squash=squash,
     )
     optimizer = trpo(max_kl=max_kl, backtrack_ratio=0.7)
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from functools import partial
 from typing import NamedTuple
 
 import jax
@@ -10,7 +11,7 @@ import jax.numpy as jnp
 
 from emrld_jax.demos.archive import DemoError
 from emrld_jax.demos.claims import Played
-from emrld_jax.demos.expert import expert
+from emrld_jax.demos.expert import Expert, expert
 from emrld_jax.demos.format import DemoFile, DemoSet
 from emrld_jax.demos.quality import check_quality, first_that_fits, has_quality
 from emrld_jax.demos.replay import replay
@@ -26,12 +27,13 @@ class Training(NamedTuple):
 
     dense_iterations: int
     sparse_iterations: int
-    num_episodes: int = 4  # a task and iteration
+    make_expert: Callable[..., Expert] = expert  # (env)
     try_every: int = 1  # iterations, where it ends as soon as its episodes fit
 
 
 # the dense reward of these is what they are judged by, so they train on nothing else
-TRAININGS = {"half_cheetah": Training(1000, 0, num_episodes=30, try_every=10)}
+RUNNER = partial(expert, num_episodes=20, squash=True, max_kl=0.03, discount=0.97, gae_lambda=0.95)
+TRAININGS = {"half_cheetah": Training(500, 0, RUNNER, try_every=10)}
 
 
 def default_training(name: str) -> Training:
@@ -76,8 +78,7 @@ def after_training(
 ) -> Played:
     """Trajectories, [M, ..], of an expert trained on the dense and then on the sparse reward."""
     dense, sparse = (
-        expert(make(name, reward=reward), num_episodes=training.num_episodes)
-        for reward in ("dense", "sparse")
+        training.make_expert(make(name, reward=reward)) for reward in ("dense", "sparse")
     )
     init_key, dense_key, sparse_key = jax.random.split(train_key, 3)
     state = dense.init(init_key)
@@ -101,7 +102,7 @@ def once_it_fits(
 ) -> Played:
     """Trajectories, [M, ..], of an expert that stops when every task has one that fits."""
     env = make(name)
-    learner = expert(make(name, reward="dense"), num_episodes=training.num_episodes)
+    learner = training.make_expert(make(name, reward="dense"))
     init_key, dense_key = jax.random.split(train_key)
     state = learner.init(init_key)
     for i in range(training.dense_iterations):

@@ -57,12 +57,14 @@ def value_network(
     learning_rate: float,
     num_steps: int,
     every: int,
+    squash: bool,
 ) -> ValueNetwork:
     """A network that is fitted to discounted returns by full-batch Adam.
 
     Args:
         width: size of its inputs, O + K + 1.
         num_steps: of Adam, a fit.
+        squash: it sees arcsinh of its inputs.
         every: a fit sees each of these steps of an episode.
     """
     network = MLP((*hidden_sizes, 1), "tanh")
@@ -74,7 +76,8 @@ def value_network(
         return ValueState(params, adam.init(params))
 
     def outputs(params: Params, inputs: jax.Array) -> jax.Array:
-        return cast(jax.Array, network.apply(params, inputs))[..., 0]
+        seen = jnp.arcsinh(inputs) if squash else inputs
+        return cast(jax.Array, network.apply(params, seen))[..., 0]
 
     def predict(state: ValueState, obs: jax.Array, task: Task) -> jax.Array:
         return scale * outputs(state.params, value_inputs(obs, task))

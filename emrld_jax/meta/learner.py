@@ -216,7 +216,7 @@ def _adapted_policies(
 
 
 def _episode_metrics(experience: Experience) -> Metrics:
-    """Mean return, success and length of each stage's episodes.
+    """Mean return, success and length of each stage's episodes, and the share that broke down.
 
     Stage k comes before the on-policy inner step k (from 0), the last stage after the last step.
     """
@@ -225,6 +225,6 @@ def _episode_metrics(experience: Experience) -> Metrics:
     for stage, rollout in enumerate(stages):
         metrics[f"adapt/return_{stage}"] = jnp.mean(episode_returns(rollout.trajectory))
         metrics[f"adapt/success_{stage}"] = jnp.mean(episode_successes(rollout.trajectory))
-        metrics[f"adapt/diverged_{stage}"] = jnp.sum(episode_divergences(rollout.trajectory))
+        metrics[f"adapt/diverged_{stage}"] = jnp.mean(episode_divergences(rollout.trajectory))
         metrics[f"adapt/length_{stage}"] = jnp.mean(jnp.sum(rollout.trajectory.mask, axis=-1))
     return metrics

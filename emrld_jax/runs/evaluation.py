@@ -14,6 +14,7 @@ from emrld_jax.policy import mean_action
 from emrld_jax.sampling.rollouts import (
     collector,
     episode,
+    episode_divergences,
     episode_returns,
     episode_successes,
 )
@@ -29,6 +30,7 @@ class Evaluation(NamedTuple):
 
     returns: Any  # [M, S, E], undiscounted
     successes: Any  # [M, S, E], 0 or 1
+    divergences: Any  # [M, S, E], 1 where the simulation broke down
     obs: Any  # [M, S, P, T, O], of the first P episodes
     mask: Any  # [M, S, P, T]
 
@@ -64,6 +66,7 @@ def evaluator(
         return Evaluation(
             episode_returns(rollouts),
             episode_successes(rollouts),
+            episode_divergences(rollouts),
             rollouts.obs[:kept],
             rollouts.mask[:kept],
         )
@@ -114,6 +117,7 @@ def summarize(evaluation: Evaluation, seed: int) -> dict[str, Any]:
     stages = []
     for k in range(returns.shape[1]):
         entry: dict[str, Any] = {"adaptation_steps": k}
+        entry["diverged"] = float(np.mean(np.asarray(evaluation.divergences)[:, k]))
         for name, values in (("return", returns[:, k]), ("success", successes[:, k])):
             entry[name] = float(values.mean())
             entry[f"{name}_interval"] = list(bootstrap_interval(values, seed))

@@ -128,7 +128,7 @@ def test_metrics_are_named_by_phase(name: str) -> None:
     assert {metric.split("/")[0] for metric in metrics} == {"adapt", "outer"}
     stages = {metric.removeprefix("adapt/return_") for metric in metrics if "return_" in metric}
     assert stages == {str(k) for k in range(len(stages))}
-    for what in ("success", "length"):
+    for what in ("success", "length", "diverged"):
         assert {f"adapt/{what}_{stage}" for stage in stages} <= metrics.keys()
     assert "outer/loss" in metrics
     assert all(value.shape == () for value in metrics.values())

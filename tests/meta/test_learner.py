@@ -106,6 +106,7 @@ def test_metrics_are_means_over_tasks_and_episodes() -> None:
         np.testing.assert_allclose(metrics[f"adapt/return_{stage}"], (24 + 4) / 8)
         np.testing.assert_allclose(metrics[f"adapt/length_{stage}"], (24 + 4) / 8)
         np.testing.assert_allclose(metrics[f"adapt/success_{stage}"], 0.5)
+        np.testing.assert_allclose(metrics[f"adapt/diverged_{stage}"], 1.0)  # all, says `canned`
     assert "adapt/return_2" not in metrics
 
 

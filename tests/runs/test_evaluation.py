@@ -120,10 +120,12 @@ def test_more_episodes_do_not_hide_that_tasks_differ() -> None:
 def test_summary_means() -> None:
     returns = np.arange(12.0).reshape(2, 3, 2)
     empty = np.zeros((2, 3, 1, 1, 2))
-    summary = summarize(Evaluation(returns, returns > 5, empty, empty[..., 0]), seed=0)
+    broken = returns == 4
+    summary = summarize(Evaluation(returns, returns > 5, broken, empty, empty[..., 0]), seed=0)
     assert (summary["tasks"], summary["episodes"]) == (2, 2)
     assert [stage["return"] for stage in summary["stages"]] == [3.5, 5.5, 7.5]
     assert [stage["success"] for stage in summary["stages"]] == [0.5, 0.5, 0.5]
+    assert [stage["diverged"] for stage in summary["stages"]] == [0.0, 0.0, 0.25]
     assert summary["stages"][0]["return_per_task"] == [0.5, 6.5]
     assert summary["stages"][2]["success_per_task"] == [0.0, 1.0]
 
