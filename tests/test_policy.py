@@ -180,6 +180,15 @@ def test_the_mean_is_the_networks_formula(activation: str) -> None:
     np.testing.assert_allclose(policy.apply(params, jnp.asarray(obs)).mean, x, atol=tolerance)
 
 
+def test_squashed_observations_are_their_arcsinh() -> None:
+    plain, squashed = (gaussian_policy(3, 2, hidden_sizes=(4,), squash=s) for s in (False, True))
+    params = plain.init(jax.random.key(0))
+    obs = jnp.array([0.01, -20.0, 3.0])
+    same = np.log(np.asarray(obs) + np.sqrt(np.asarray(obs) ** 2 + 1))
+    expected = plain.apply(params, jnp.asarray(same)).mean
+    np.testing.assert_allclose(squashed.apply(params, obs).mean, expected, rtol=1e-5, atol=1e-6)
+
+
 def test_a_fixed_standard_deviation_is_no_parameter() -> None:
     policy = gaussian_policy(2, 3, hidden_sizes=(4,), std=0.25)
     params = policy.init(jax.random.key(0))

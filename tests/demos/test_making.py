@@ -15,6 +15,7 @@ from emrld_jax.demos.claims import Played, end_distance
 from emrld_jax.demos.quality import check_quality, has_quality
 from emrld_jax.types import Demos
 from envs_jax.goals import GoalTask
+from envs_jax.half_cheetah import CheetahTask
 from tests.conftest import Command
 
 
@@ -93,3 +94,40 @@ def test_an_expert_that_trained_too_little_is_refused(command: Command, tmp_path
     assert "are not optimal" in done.stderr
     assert "Traceback" not in done.stderr
     assert not out.exists()
+
+
+def runs(direction: float, velocity: float, steps: int, torque: float = 0.0) -> Played:
+    """A cheetah's episodes of equal velocity (m/s), of which `steps` exist, as [1, 100]."""
+    mask = (jnp.arange(100)[None] < steps).astype(jnp.float32)
+    action = jnp.full((1, 100, 6), torque)
+    reward = jnp.full((1, 100), velocity - 0.05 * 6 * torque**2)
+    tasks = CheetahTask(jnp.array([direction]))
+    return Played(Demos(jnp.zeros((1, 100, 20)), action, mask), reward, jnp.zeros(1), tasks)
+
+
+@pytest.mark.parametrize(
+    ("velocity", "steps", "good"),
+    [
+        (1.5, 20, True),  # 1.5 m in a second
+        (0.9, 20, False),
+        (2.0, 20, False),  # out of the dark
+        (-1.5, 20, False),
+        (1.5, 19, False),
+    ],
+)
+def test_what_may_pass_as_a_piece_of_a_run(velocity: float, steps: int, good: bool):
+    env = envs_jax.make("half_cheetah")
+    for torque in (0.0, 0.8):  # whose cost is no part of the way
+        played_back = runs(1.0, velocity, steps, torque)
+        assert bool(has_quality(env, "suboptimal", played_back)[0]) is good
+
+
+def test_a_fast_run_is_as_fast_as_the_papers():
+    """100 steps of 2.79 m/s forward or 4.75 m/s backward."""
+    env = envs_jax.make("half_cheetah")
+    for direction, least in ((1.0, 2.79), (-1.0, 4.75)):
+        for velocity, good in ((least - 0.01, False), (least + 0.01, True)):
+            played_back = runs(direction, velocity, 100)
+            assert bool(has_quality(env, "optimal", played_back)[0]) is good
+    with pytest.raises(demos.DemoError, match=r"279 forward, 475 backward, but number 0 .* has 100"):
+        check_quality(env, "optimal", runs(1.0, 1.0, 100))
