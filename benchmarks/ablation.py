@@ -1,4 +1,4 @@
-"""What the tuned defaults are worth: Point2D with one setting changed at a time.
+"""What the tuned defaults are worth: an environment with one setting changed at a time.
 
 `python -m benchmarks.ablation` trains what is not finished yet and writes the table.
 """
@@ -15,26 +15,41 @@ import numpy as np
 from benchmarks.jobs import Job, run_all, write_results
 from emrld_jax.demos.shipped import QUALITIES
 
-VARIANTS: dict[str, tuple[str, ...]] = {
-    "defaults": (),
-    "adapt.learning_rate=0.01": ("adapt.learning_rate=0.01",),
-    "adapt.learning_rate=0.007": ("adapt.learning_rate=0.007",),
-    "adapt.learning_rate=0.003": ("adapt.learning_rate=0.003",),
-    "policy.activation=relu": ("policy.activation=relu",),
-    "policy.activation=silu": ("policy.activation=silu",),
-    "policy.std=0.3 adapt.learning_rate=0.0018": ("policy.std=0.3", "adapt.learning_rate=0.0018"),
-    "policy.std=0.8 adapt.learning_rate=0.0128": ("policy.std=0.8", "adapt.learning_rate=0.0128"),
-    "policy.start_at_zero=false": ("policy.start_at_zero=false",),
-    "policy.output_scale=1": ("policy.output_scale=1",),
-    "policy.output_scale=3": ("policy.output_scale=3",),
-    "policy.learn_std=true": ("policy.learn_std=true",),
-    "meta.max_kl=0.01": ("meta.max_kl=0.01",),
-    "meta.fisher_every=1": ("meta.fisher_every=1",),
-    "meta.backtrack_ratio=0.5": ("meta.backtrack_ratio=0.5",),
-    "env.reward_radius=0.1": ("env.reward_radius=0.1",),  # m; the paper's zone has 0.2
-    "env.reward_radius=0.4": ("env.reward_radius=0.4",),
-    "experiment=paper": ("experiment=paper",),
-}
+# settings, one row each; the first row has none
+POINT2D = (
+    "adapt.learning_rate=0.01",
+    "adapt.learning_rate=0.007",
+    "adapt.learning_rate=0.003",
+    "policy.activation=relu",
+    "policy.activation=silu",
+    "policy.std=0.3 adapt.learning_rate=0.0018",
+    "policy.std=0.8 adapt.learning_rate=0.0128",
+    "policy.start_at_zero=false",
+    "policy.output_scale=1",
+    "policy.output_scale=3",
+    "policy.learn_std=true",
+    "meta.max_kl=0.01",
+    "meta.fisher_every=1",
+    "meta.backtrack_ratio=0.5",
+    "env.reward_radius=0.1",  # m; the paper's zone has 0.2
+    "env.reward_radius=0.4",
+    "experiment=paper",
+)
+HALF_CHEETAH = (
+    "policy.squash=false adapt.learning_rate=0.01",
+    "policy.squash=false",
+    "policy.std=0.5 adapt.learning_rate=0.25",
+    "policy.std=0.5",
+    "adapt.learning_rate=0.02",
+    "adapt.learning_rate=0.08",
+    "policy.activation=relu",
+    "policy.output_scale=1",
+    "meta.max_kl=0.03",
+    "meta.fisher_every=1",
+    "env.zone_distance=0.5",  # m; the paper's is 2
+    "experiment=paper",
+)
+VARIANTS = {"point2d": POINT2D, "half_cheetah": HALF_CHEETAH}
 MARKS = (20, 40, 60, 80, 100)  # iterations
 WINDOW = 5  # iterations up to a mark that are averaged
 
@@ -64,7 +79,7 @@ def table(rows: Sequence[dict[str, Any]]) -> str:
     for row in rows:
         curve = " | ".join(f"{np.mean(row['return_at'][m]):.0f}" for m in MARKS)
         lines.append(
-            f"| {row['setting']} | {curve} | {np.mean(row['final']):.1f} "
+            f"| {row['setting'] or 'defaults'} | {curve} | {np.mean(row['final']):.1f} "
             f"| {np.mean(row['held_out']):.1f} | {row['s_per_iteration']:.2f} |"
         )
     return "\n".join(lines)
@@ -76,29 +91,30 @@ def main() -> None:
     parser.add_argument("--runs", type=Path, default=Path("runs/ablation"))
     parser.add_argument("--seeds", type=int, nargs="+", default=[0])
     parser.add_argument("--table", action="store_true", help="only tabulate what is finished")
+    parser.add_argument("--env", default="point2d", choices=tuple(VARIANTS))
     parser.add_argument("--demos", default="optimal", choices=QUALITIES)
     parser.add_argument("--algo", default="emrld", choices=("emrld", "emrld_ws"))
     options = parser.parse_args()
     rows = {
         name: [
             Job(
-                options.runs / name.replace(" ", ","),
-                "point2d",
+                options.runs / options.env / (name.replace(" ", ",") or "defaults"),
+                options.env,
                 options.demos,
                 options.algo,
                 seed,
-                (*settings, f"meta.iterations={max(MARKS)}"),
+                (*name.split(), f"meta.iterations={max(MARKS)}"),
             )
             for seed in options.seeds
         ]
-        for name, settings in VARIANTS.items()
+        for name in ("", *VARIANTS[options.env])
     }
     if not options.table:
         run_all([job for jobs in rows.values() for job in jobs])
     done = {name: [job for job in jobs if job.finished] for name, jobs in rows.items()}
     summaries = [summarize(name, jobs) for name, jobs in done.items() if jobs]
     finished = [job for jobs in done.values() for job in jobs]
-    name = f"ablation-{options.algo}-{options.demos}"
+    name = f"ablation-{options.env}-{options.algo}-{options.demos}"
     write_results(name, finished, summaries, table(summaries))
 
 

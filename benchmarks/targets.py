@@ -14,7 +14,7 @@ import numpy as np
 
 from benchmarks.jobs import Job, run_all, write_results
 
-ENVIRONMENTS = ("point2d", "two_wheeled", "two_wheeled_drift")
+ENVIRONMENTS = ("point2d", "two_wheeled", "two_wheeled_drift", "half_cheetah")
 ROWS = (
     ("optimal", "emrld"),
     ("optimal", "emrld_ws"),

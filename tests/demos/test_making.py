@@ -129,5 +129,7 @@ def test_a_fast_run_is_as_fast_as_the_papers():
         for velocity, good in ((least - 0.01, False), (least + 0.01, True)):
             played_back = runs(direction, velocity, 100)
             assert bool(has_quality(env, "optimal", played_back)[0]) is good
-    with pytest.raises(demos.DemoError, match=r"279 forward, 475 backward, but number 0 .* has 100"):
+    with pytest.raises(
+        demos.DemoError, match=r"279 forward, 475 backward, but number 0 .* has 100"
+    ):
         check_quality(env, "optimal", runs(1.0, 1.0, 100))
