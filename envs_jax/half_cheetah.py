@@ -44,7 +44,7 @@ class HalfCheetah:
 
     Raises:
         ValueError: impossible parameters.
-        ImportError: the backend's packages are missing; names the extra that brings them.
+        MissingPackageError: a package of the backend's is not installed.
     """
 
     reward: str = "sparse"

@@ -32,6 +32,7 @@ from emrld_jax.runs.folder import run_folders
 from emrld_jax.runs.machines import ProcessLostError
 from emrld_jax.runs.overrides import VMAP, Values, parse
 from emrld_jax.runs.saved import load_config, updated
+from envs_jax.physics.models import MissingPackageError
 
 __all__ = ["evaluate_config", "parse", "run_command", "train_config", "updated"]
 
@@ -93,7 +94,7 @@ def run_command(main: Callable[[], int]) -> NoReturn:
     except ProcessLostError as error:
         print(f"error: {error}", file=sys.stderr)
         code = 1
-    except (ConfigError, DemoError, OSError) as error:
+    except (ConfigError, DemoError, MissingPackageError, OSError) as error:
         print(f"error: {error}", file=sys.stderr)
         code = 2
     except (jax.errors.JaxRuntimeError, MemoryError) as error:

@@ -29,14 +29,12 @@ def prepare_films(env: Env) -> None:
     """Chooses what to render with, before anything imports MuJoCo, which reads that only then.
 
     Raises:
-        ConfigError: nothing is known to film, or a package or a library is missing; names it.
+        ConfigError: nothing is known to film, or a library is missing; names it.
+        MissingPackageError: a package is not installed.
     """
     if not is_runner(env):
         raise ConfigError(f"video=true is for half_cheetah; {env.name} has pictures of its paths")
-    try:
-        check_installed(("imageio",))
-    except ImportError as error:
-        raise ConfigError(f"video=true: {error}") from error
+    check_installed(("imageio",))
     if sys.platform != "linux" or "MUJOCO_GL" in os.environ:
         return
     if (software := _software()) is None:

@@ -21,6 +21,7 @@ from emrld_jax.runs.config import ConfigError
 CODE = (".", "../envs_jax")  # what decides results, seen from this package
 TYPED = "EMRLD_JAX_COMMAND"  # tells a process that a command starts what the user has typed
 PACKAGES = ("emrld-jax", "jax", "jaxlib", "flax", "optax", "orbax-checkpoint", "numpy")
+PHYSICS = ("mujoco", "mujoco-mjx", "gymnasium")  # of extras, which need not be there
 
 
 def provenance(demos: Path) -> dict[str, Any]:
@@ -58,7 +59,7 @@ def software() -> dict[str, Any]:
     return {
         "code": code_version(),
         "python": platform.python_version(),
-        "packages": {name: _version(name) for name in PACKAGES},
+        "packages": {name: _version(name) for name in (*PACKAGES, *PHYSICS)},
     }
 
 
@@ -118,7 +119,7 @@ def _version(package: str) -> str:
     try:
         return metadata.version(package)
     except metadata.PackageNotFoundError:
-        return "unknown"
+        return "not installed" if package in PHYSICS else "unknown"
 
 
 def _cpu() -> str:

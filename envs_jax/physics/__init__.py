@@ -53,7 +53,7 @@ def check_backend(backend: str) -> None:
 
     Raises:
         ValueError: it is unknown.
-        ImportError: a package is missing; names the extra that brings it.
+        MissingPackageError: a package is not installed.
     """
     if backend not in BACKENDS:
         raise ValueError(f"backend={backend!r} is unknown; choose one of: {', '.join(BACKENDS)}")
@@ -75,7 +75,7 @@ def make_physics(choice: Choice) -> Physics:
         SlowBackendWarning: MJX on a CPU.
 
     Raises:
-        ImportError: a package is missing; names the extra that brings it.
+        MissingPackageError: a package is not installed.
     """
     backend = resolve_backend(choice.backend)
     check_backend(backend)

@@ -66,6 +66,10 @@ FIELDS = (
 )
 
 
+class MissingPackageError(ImportError):
+    """A package is not installed; the message names the extra that brings it."""
+
+
 class ModelChangedWarning(UserWarning):
     """A compiled model is not the one that this project's results were made with."""
 
@@ -74,12 +78,12 @@ def check_installed(packages: Sequence[str]) -> None:
     """Looks for packages that physics needs, without importing them.
 
     Raises:
-        ImportError: one is missing; names the extra that brings it.
+        MissingPackageError: one is not there.
     """
     for package in packages:
         if not _is_installed(package):
-            raise ImportError(
-                f"{package} is not installed; python -m pip install 'emrld-jax[{EXTRA}]' brings it"
+            raise MissingPackageError(
+                f"{package} is not installed: pip install 'emrld-jax[{EXTRA}]'"
             )
 
 
@@ -90,7 +94,7 @@ def load_model(name: str) -> Any:
         ModelChangedWarning: it is not the one that this project's results were made with.
 
     Raises:
-        ImportError: MuJoCo or Gymnasium is missing; names the extra that brings it.
+        MissingPackageError: MuJoCo or Gymnasium is not installed.
     """
     check_installed(PACKAGES)
     import mujoco  # noqa: PLC0415

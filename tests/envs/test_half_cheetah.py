@@ -230,7 +230,10 @@ def test_an_unknown_backend_is_refused() -> None:
 
 
 def test_a_missing_package_names_the_extra() -> None:
-    with pytest.raises(ImportError, match=r"no_such_package.part is not .*emrld-jax\[mujoco\]"):
+    with pytest.raises(
+        ImportError,
+        match=r"no_such_package.part is not installed: pip install 'emrld-jax\[mujoco\]'",
+    ):
         check_installed(("mujoco", "no_such_package.part"))
 
 

@@ -9,12 +9,15 @@ from pathlib import Path
 
 import pytest
 
+from emrld_jax.runs.cli import run_command, train_config
 from emrld_jax.runs.config import ConfigError, EnvSettings, TrainConfig, check_config, default_w_rl
 from emrld_jax.runs.folder import RunFolder, new_folder, new_run_folder
 from emrld_jax.runs.metrics import MetricsLog, read_metrics
 from emrld_jax.runs.provenance import code_version, sha256
 from emrld_jax.runs.saved import load_config, save_config
+from emrld_jax.runs.setup import set_up
 from emrld_jax.runs.signals import TOLD, StopSignals
+from envs_jax.physics import models
 
 
 def test_a_run_never_overwrites_another(tmp_path: Path) -> None:
@@ -30,6 +33,22 @@ def test_a_run_never_overwrites_another(tmp_path: Path) -> None:
     assert third.path.name == "seed4_3"
     assert "resume" not in note
     assert "seed4_3" in note
+
+
+def test_a_missing_package_ends_a_command_with_one_message(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr(models, "find_spec", lambda package: None)
+
+    def main() -> int:
+        set_up(train_config(["env=half_cheetah"]))
+        return 0
+
+    with pytest.raises(SystemExit) as ended:
+        run_command(main)
+    assert ended.value.code == 2
+    expected = "error: mujoco is not installed: pip install 'emrld-jax[mujoco]'\n"
+    assert capsys.readouterr().err == expected
 
 
 def test_a_run_in_progress_cannot_be_continued(tmp_path: Path) -> None:
