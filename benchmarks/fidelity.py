@@ -12,7 +12,7 @@ import sys
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import partial
-from typing import Any, NamedTuple
+from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -21,15 +21,16 @@ import numpy as np
 from benchmarks.choice import origin
 from benchmarks.records import write_record
 from benchmarks.timing import seconds
-from emrld_jax.demos.expert import Expert, ExpertState, conditioned, expert
+from benchmarks.visits import Visited, trained_expert, visited_by
+from emrld_jax.demos.expert import conditioned
 from emrld_jax.policy import Policy, mean_action
 from emrld_jax.runs import cli
 from emrld_jax.runs.config import check_config
 from emrld_jax.sampling.rollouts import episode, episode_returns
 from emrld_jax.settings import setting
-from envs_jax import make
 from envs_jax.half_cheetah import HalfCheetah
 from envs_jax.physics import pack
+from envs_jax.physics.models import silent_mujoco
 
 # iterations of MJX's contact solver, and of each one's line search; the last are the model's own
 SETTINGS = ((1, 4), (2, 4), (3, 4), (4, 4), (8, 8), (100, 50))
@@ -40,59 +41,12 @@ NQ, NV = 9, 9
 class FidelityConfig:
     """All settings of the comparison."""
 
-    iterations: int = setting(150, "of the expert's training", at_least=1)
+    iterations: int = setting(60, "of the expert's training", at_least=1)
     episodes: int = setting(20, "of each kind that states are taken from", at_least=2)
     recorded: str | None = setting(None, "recorded steps to compare with, a .npz file")
 
 
-class Visited(NamedTuple):
-    """Steps of episodes [E], of T steps each."""
-
-    body: Any  # [E, T, 27], before the action
-    action: Any  # [E, T, 6]
-
-
 Advance = Callable[[Any, Any], Any]  # bodies [K, 27], actions [K, 6] -> bodies [K, 27]
-
-
-def visit(env: HalfCheetah, act: Callable[[Any, Any], Any], key: Any, pitch: float) -> Visited:
-    """An episode from a start with this pitch (rad); `act(obs, key)` chooses actions."""
-    reset_key, act_key = jax.random.split(key)
-    start = env.reset(reset_key, jax.tree.map(lambda x: x[0], env.test_tasks()))
-    body = start.pipeline_state.body.at[2].add(pitch)
-    start = env.reset_to(jnp.concatenate([body[1:18], body[:1], jnp.zeros(2)]), start.task)
-
-    def step(state: Any, key: Any) -> tuple[Any, Visited]:
-        action = env.to_physical(act(state.obs, key))
-        return env.step(state, action), Visited(state.pipeline_state.body, action)
-
-    return jax.lax.scan(step, start, jax.random.split(act_key, env.horizon))[1]
-
-
-def visited_by(
-    env: HalfCheetah, trained: Expert, state: ExpertState, episodes: int
-) -> dict[str, Visited]:
-    """Steps of cheetahs that move at random, that run, and that have fallen on their back."""
-
-    def at_random(obs: Any, key: Any) -> Any:
-        return jax.random.normal(key, (6,))
-
-    def running(direction: float, obs: Any, key: Any) -> Any:
-        own = conditioned(trained.policy, type(env.test_tasks())(jnp.array(direction)))
-        gaussian = own.apply(state.policy, obs)
-        return gaussian.mean + jnp.exp(gaussian.log_std) * jax.random.normal(key, (6,))
-
-    kinds: dict[str, tuple[Any, float]] = {
-        "random actions": (at_random, 0.0),
-        "expert, forward": (partial(running, 1.0), 0.0),
-        "expert, backward": (partial(running, -1.0), 0.0),
-        "fallen on its back": (at_random, np.pi),
-    }
-    keys = jax.random.split(jax.random.key(1), episodes)
-    return {
-        kind: jax.device_get(jax.jit(jax.vmap(partial(visit, env, act, pitch=pitch)))(keys))
-        for kind, (act, pitch) in kinds.items()
-    }
 
 
 def advance_of(env: HalfCheetah) -> Advance:
@@ -106,8 +60,9 @@ class Gymnasium:
     def __init__(self) -> None:
         import gymnasium  # noqa: PLC0415
 
-        self._env: Any = gymnasium.make("HalfCheetah-v5").unwrapped
-        self._env.reset(seed=0)
+        with silent_mujoco():
+            self._env: Any = gymnasium.make("HalfCheetah-v5").unwrapped
+            self._env.reset(seed=0)
 
     def run(self, body: Any, actions: Any) -> np.ndarray:
         """Bodies after each of the actions [T, 6], from one [27]: positions and velocities."""
@@ -148,18 +103,6 @@ def returns(env: HalfCheetah, policy: Policy, params: Any, episodes: int) -> lis
     return [float(x) for x in (found[0].mean(), deviation[0], found[1].mean(), deviation[1])]
 
 
-def trained_expert(iterations: int) -> tuple[Expert, ExpertState]:
-    """An expert for both directions, by the engine in C."""
-    env = make("half_cheetah", reward="dense")
-    learner = expert(env, num_episodes=20)
-    state = learner.init(jax.random.key(0))
-    for i in range(iterations):
-        state, metrics = learner.update(state, jax.random.key(i), env.train_tasks())
-    reached = float(metrics["expert/return"])
-    print(f"expert: dense return {reached:.0f} after {iterations} iterations", flush=True)
-    return learner, state
-
-
 def recorded_errors(path: str, advance: Advance) -> list[float]:
     """Medians over recorded steps of the largest error of a joint's position and velocity."""
     with np.load(path, allow_pickle=False) as arrays:
@@ -178,59 +121,64 @@ def body_of(obs: Any) -> Any:
     return pack(jnp.concatenate([obs[17:18], obs[:8]]), jnp.asarray(obs[8:17]))
 
 
+def simulators() -> dict[str, HalfCheetah]:
+    """What is compared with Gymnasium."""
+    found = {"MuJoCo in C": HalfCheetah(reward="dense", backend="mujoco")}
+    for solver, search in SETTINGS:
+        found[f"MJX, {solver} and {search} iterations"] = HalfCheetah(
+            reward="dense", backend="mjx", mjx_iterations=solver, mjx_line_search=search
+        )
+    return found
+
+
+def compare(
+    env: HalfCheetah,
+    visited: dict[str, Visited],
+    steps: dict[str, np.ndarray],
+    paths: dict[str, np.ndarray],
+) -> dict[str, Any]:
+    """One simulator's speed and errors; `steps` and `paths` are where Gymnasium came to."""
+    advance = advance_of(env)
+    pairs = {kind: (_flat(v.body), _flat(v.action)) for kind, v in visited.items()}
+    many = next(iter(pairs.values()))
+    times = seconds(partial(advance, *many), 3)
+    return {
+        "steps_per_s": float(len(many[0]) / np.median(times)),
+        "one_step": {
+            kind: one_step_errors(advance(*pair), steps[kind]) for kind, pair in pairs.items()
+        },
+        "drift": {
+            kind: drift(advance, v.body[:, 0], v.action, paths[kind]) for kind, v in visited.items()
+        },
+    }
+
+
 def main() -> int:
     """Compares and writes the table."""
     config = cli.updated(FidelityConfig(), cli.parse(sys.argv[1:], FidelityConfig(), {}))
     check_config(config)
     learner, state = trained_expert(config.iterations)
     visited = visited_by(HalfCheetah(reward="dense"), learner, state, config.episodes)
-    gym = Gymnasium()
-    reference = {
-        kind: np.stack(
-            [gym.run(b, [a])[0] for b, a in zip(*map(_flat, (v.body, v.action)), strict=True)]
-        )
-        for kind, v in visited.items()
-    }
-    # the paths of Gymnasium itself: ours begin where they do
-    paths = {
-        kind: np.stack([gym.run(b[0], a) for b, a in zip(v.body, v.action, strict=True)])
-        for kind, v in visited.items()
-    }
-    simulators = {"MuJoCo in C": HalfCheetah(reward="dense", backend="mujoco")} | {
-        f"MJX, {i} and {j} iterations": HalfCheetah(
-            reward="dense", backend="mjx", mjx_iterations=i, mjx_line_search=j
-        )
-        for i, j in SETTINGS
-    }
+    gym, steps, paths = Gymnasium(), {}, {}
+    for kind, v in visited.items():
+        pairs = zip(_flat(v.body), _flat(v.action), strict=True)
+        steps[kind] = np.stack([gym.run(body, [action])[0] for body, action in pairs])
+        episodes = zip(v.body, v.action, strict=True)
+        paths[kind] = np.stack([gym.run(bodies[0], actions) for bodies, actions in episodes])
     rows = []
-    for name, env in simulators.items():
-        advance = advance_of(env)
-        pairs = {kind: tuple(map(_flat, (v.body, v.action))) for kind, v in visited.items()}
-        many = next(iter(pairs.values()))
-        times = seconds(partial(advance, *many), 3)
-        row = {
-            "simulator": name,
-            "steps_per_s": float(len(many[0]) / np.median(times)),
-            "one_step": {
-                kind: one_step_errors(advance(*pair), reference[kind])
-                for kind, pair in pairs.items()
-            },
-            "drift": {
-                kind: drift(advance, v.body[:, 0], v.action, paths[kind])
-                for kind, v in visited.items()
-            },
-            "returns": returns(env, learner.policy, state.policy, config.episodes),
-        }
-        print(row, flush=True)
+    for name, env in simulators().items():
+        row = {"simulator": name, **compare(env, visited, steps, paths)}
+        row["returns"] = returns(env, learner.policy, state.policy, config.episodes)
+        print(f"{name}: {row['steps_per_s']:,.0f} environment steps/s", flush=True)
         rows.append(row)
-    record = {**origin("fidelity"), "rows": rows}
-    text = _tables(rows)
+    record, text = {**origin("fidelity"), "rows": rows}, _tables(rows)
     if config.recorded:
-        found = recorded_errors(config.recorded, advance_of(simulators["MuJoCo in C"]))
-        record["recorded"] = found
+        record["recorded"] = recorded_errors(
+            config.recorded, advance_of(simulators()["MuJoCo in C"])
+        )
         text += (
             "\n\nRecorded steps against MuJoCo in C, median over steps of the worst joint: "
-            f"{found[0]:.2g} rad or m, {found[1]:.2g} rad/s or m/s."
+            "{:.2g} rad or m, {:.2g} rad/s or m/s.".format(*record["recorded"])
         )
     write_record("fidelity-half_cheetah", record, text)
     return 0
