@@ -38,15 +38,14 @@ POINT2D = (
 HALF_CHEETAH = (
     "policy.squash=false adapt.learning_rate=0.01",
     "policy.squash=false",
-    "policy.std=0.5 adapt.learning_rate=0.25",
+    "policy.std=0.5 adapt.learning_rate=0.125",
     "policy.std=0.5",
-    "adapt.learning_rate=0.02",
-    "adapt.learning_rate=0.08",
+    "adapt.learning_rate=0.01",
+    "adapt.learning_rate=0.04",
     "policy.activation=relu",
     "policy.output_scale=1",
     "meta.max_kl=0.03",
     "meta.fisher_every=1",
-    "env.zone_distance=0.5",  # m; the paper's is 2
     "experiment=paper",
 )
 VARIANTS = {"point2d": POINT2D, "half_cheetah": HALF_CHEETAH}

@@ -29,7 +29,6 @@ from emrld_jax.runs.config import check_config
 from emrld_jax.sampling.rollouts import episode, episode_returns
 from emrld_jax.settings import setting
 from envs_jax.half_cheetah import HalfCheetah
-from envs_jax.physics import pack
 from envs_jax.physics.models import silent_mujoco
 
 # iterations of MJX's contact solver, and of each one's line search; the last are the model's own
@@ -109,7 +108,7 @@ def recorded_errors(path: str, advance: Advance) -> list[float]:
         states, actions, lengths = (arrays[key] for key in ("state", "action", "length"))
     errors = []
     for state, action, length in zip(states, actions, lengths, strict=True):
-        bodies = np.stack([np.asarray(body_of(obs)) for obs in state[: length - 1]])
+        bodies = np.stack([body_of(obs) for obs in state[: length - 1]])
         after = np.asarray(advance(bodies, np.clip(action[: length - 1], -1, 1)))
         errors.append(np.abs(after[:, 1:18] - state[1:length, :17]))
     median = np.median(np.concatenate(errors), axis=0)
@@ -118,7 +117,9 @@ def recorded_errors(path: str, advance: Advance) -> list[float]:
 
 def body_of(obs: Any) -> Any:
     """The body that was observed, its solver starting from nothing. [20] -> [27]."""
-    return pack(jnp.concatenate([obs[17:18], obs[:8]]), jnp.asarray(obs[8:17]))
+    env = HalfCheetah()
+    task = jax.tree.map(lambda x: x[0], env.test_tasks())
+    return env.reset_to(jnp.asarray(obs), task).pipeline_state.body
 
 
 def simulators() -> dict[str, HalfCheetah]:

@@ -8,8 +8,9 @@ from __future__ import annotations
 
 import resource
 import sys
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Any
 
 import jax
 
@@ -22,13 +23,12 @@ from benchmarks.timing import Row, table
 from emrld_jax.meta.learner import MetaState
 from emrld_jax.runs import cli
 from emrld_jax.runs.checkpoints import Checkpoints
-from emrld_jax.runs.config import check_config
+from emrld_jax.runs.config import ConfigError, check_config
 from emrld_jax.runs.iteration import initial
 from emrld_jax.runs.machines import split_cpu
 from emrld_jax.runs.saved import load_config
 from emrld_jax.runs.setup import Setup, set_up
 from emrld_jax.settings import setting
-from envs_jax import Env, make
 from envs_jax.base import REWARDS
 from envs_jax.physics import BACKENDS
 
@@ -77,19 +77,18 @@ def _main_backend(config: ThroughputConfig) -> str | None:
 
 def _other_rollouts(bench: Bench, config: ThroughputConfig) -> list[Row]:
     """Rollouts with the other backend, and with other numbers of simulations at once."""
-    env, adapt = bench.setup.env, bench.adapt
-    wanted: dict[str, tuple[Env, int]] = {}
-    if config.backend == "both":
-        other = make(env.name, reward=env.reward, horizon=env.horizon, backend="mjx")
-        wanted[", backend=mjx"] = (other, bench.tasks * adapt.num_episodes)
-    for number in config.simulations:
-        wanted[f", {number} simulations at once"] = (env, number)
-    tasks = env.test_tasks() if config.simulations else bench.part.tasks
+    env: Any = bench.setup.env
+    backends = ("mujoco", "mjx") if config.backend == "both" else (config.backend,)
+    own = [replace(env, backend=backend) if backend else env for backend in backends]
+    tasks, number = bench.part.tasks, bench.tasks * bench.adapt.num_episodes
+    wanted = [(other, tasks, number) for other in own[1:]]
+    wanted += [(other, env.test_tasks(), n) for other in own for n in config.simulations]
     rows = []
-    for words, (own, number) in wanted.items():
-        policy, params = bench.setup.learner.policy, bench.state.params
+    for other, tasks, number in wanted:
         episodes = number // jax.tree.leaves(tasks)[0].shape[0]
-        found = rollouts(own, policy, params, tasks, episodes, config.repetitions)
+        policy, params = bench.setup.learner.policy, bench.state.params
+        found = rollouts(other, policy, params, tasks, episodes, config.repetitions)
+        words = f", {other.backend}, {number} simulations at once"
         rows += [row._replace(what=row.what + words) for row in found]
     return rows
 
@@ -99,6 +98,10 @@ def main() -> int:
     values = cli.parse(sys.argv[1:], ThroughputConfig(), {})
     config = cli.updated(ThroughputConfig(), values)
     check_config(config)
+    if config.run and config.backend:
+        raise ConfigError("backend has no effect with run: a run has its own")
+    if any(number % 2 for number in config.simulations):
+        raise ConfigError(f"simulations={config.simulations}: even numbers, for two directions")
     jax.config.update("jax_enable_compilation_cache", False)  # compiling is measured too
     if config.devices > 1:
         split_cpu(config.devices)
@@ -133,7 +136,8 @@ def main() -> int:
     }
     where = "trained" if config.run else config.reward
     seeds = f"-seeds{config.num_seeds}" * (config.num_seeds > 1)
-    write_record(f"throughput-{bench.setup.config.env.name}-{where}{seeds}", record, table(rows))
+    backend = f"-{config.backend}" if config.backend else ""
+    write_record(f"throughput-{ran.env.name}-{where}{backend}{seeds}", record, table(rows))
     return 0
 
 

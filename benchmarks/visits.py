@@ -27,8 +27,7 @@ def visit(env: HalfCheetah, act: Callable[[Any, Any], Any], key: Any, pitch: flo
     """An episode from a start with this pitch (rad); `act(obs, key)` chooses actions."""
     reset_key, act_key = jax.random.split(key)
     start = env.reset(reset_key, jax.tree.map(lambda x: x[0], env.test_tasks()))
-    body = start.pipeline_state.body.at[2].add(pitch)
-    start = env.reset_to(jnp.concatenate([body[1:18], body[:1], jnp.zeros(2)]), start.task)
+    start = env.reset_to(start.obs.at[env.observation_names.index("pitch")].add(pitch), start.task)
 
     def step(state: Any, key: Any) -> tuple[Any, Visited]:
         action = env.to_physical(act(state.obs, key))
@@ -67,9 +66,10 @@ def trained_expert(iterations: int) -> tuple[Expert, ExpertState]:
     """An expert for both directions, by the engine in C."""
     env = make("half_cheetah", reward="dense")
     learner = default_training(env.name).make_expert(env)
-    state = learner.init(jax.random.key(0))
+    init_key, key = jax.random.split(jax.random.key(0))
+    state = learner.init(init_key)
     for i in range(iterations):
-        state, metrics = learner.update(state, jax.random.key(i), env.train_tasks())
+        state, metrics = learner.update(state, jax.random.fold_in(key, i), env.train_tasks())
     reached = float(metrics["expert/return"])
     print(f"expert: dense return {reached:.0f} after {iterations} iterations", flush=True)
     return learner, state

@@ -32,8 +32,8 @@ class MakeDemosConfig:
     env: str = setting("point2d", "the environment", choices=names())
     quality: str = setting(
         "optimal",
-        "optimal: a trained expert that reaches every goal; suboptimal: noisy trajectories of an "
-        "expert that stopped early, cut off near the goal",
+        "optimal: a trained expert that reaches every goal, or runs fast; suboptimal: noisy "
+        "trajectories of an expert that stopped early, cut off before they achieve much",
         choices=QUALITIES,
     )
     seed: int = setting(0, "seed of all random numbers", at_least=0, at_most=10**9)
@@ -97,9 +97,12 @@ def make_file(config: MakeDemosConfig, out: Path) -> None:
         def report(reward: str, iteration: int, metrics: dict[str, Any]) -> None:
             nonlocal told_at
             last, told_at = told_at, time.perf_counter()
+            broken = float(metrics["expert/diverged"])
             figures = (
                 f"{reward} reward, return {float(metrics['expert/return']):.1f}  "
                 f"success {float(metrics['expert/success']):.0%}"
+                + f"  {broken:.2%} of simulations broke down"
+                * (broken > 0)
             )
             view.show(before[reward] + iteration, figures, told_at - last)
 

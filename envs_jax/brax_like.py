@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import Any, ClassVar, NamedTuple
 
 import jax
@@ -81,9 +82,10 @@ class FromBrax:
     def action_high(self) -> tuple[float, ...]:
         return (1.0,) * self.action_size
 
-    @property
+    @cached_property
     def _shapes(self) -> Any:
-        return jax.eval_shape(self.inner.reset, jax.random.key(0))
+        with jax.numpy_rank_promotion("allow"):
+            return jax.eval_shape(self.inner.reset, jax.random.key(0))
 
     def train_tasks(self) -> Any:
         """The training tasks, [M, ..]."""

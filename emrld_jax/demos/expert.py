@@ -19,7 +19,12 @@ from emrld_jax.meta.outer import Metrics, Objective, OuterOptimizer, surrogate_o
 from emrld_jax.meta.trpo import trpo
 from emrld_jax.policy import Policy, gaussian_policy
 from emrld_jax.sampling.advantages import gae, normalize
-from emrld_jax.sampling.rollouts import episode, episode_returns, episode_successes
+from emrld_jax.sampling.rollouts import (
+    episode,
+    episode_divergences,
+    episode_returns,
+    episode_successes,
+)
 from emrld_jax.types import Gaussian, Params, Rollout, Task, Trajectory
 from envs_jax import Env
 
@@ -110,6 +115,7 @@ def expert(
         metrics = {
             "expert/return": jnp.mean(episode_returns(batch)),
             "expert/success": jnp.mean(episode_successes(batch)),
+            "expert/diverged": jnp.mean(episode_divergences(batch)),
             "expert/length": jnp.mean(jnp.sum(batch.mask, axis=-1)),
         }
         return ExpertState(new_policy, value.fit(state.value, batch, tasks)), {**metrics, **outer}

@@ -27,6 +27,7 @@ from emrld_jax.demos.unpickle import MAX_ITEMS, count_items, read_pickle
 from emrld_jax.types import Demos
 from envs_jax import Env
 
+CHAOTIC = ("half_cheetah",)
 ALIASES = {
     "obs": ("state", "states", "obs", "observations"),
     "action": ("action", "actions"),
@@ -67,6 +68,11 @@ def import_file(path: str | Path, environment: str, quality: str, command: str =
         raise DemoError(
             f"environment {environment!r} cannot be imported for; allowed: "
             f"{', '.join(envs_jax.names())}"
+        )
+    if environment in CHAOTIC:
+        raise DemoError(
+            f"{environment}'s recordings cannot be imported: its contacts are chaotic, and rows of "
+            "another version of MuJoCo's do not follow its dynamics closely enough to be checked"
         )
     env = envs_jax.make(environment)
     contents = read_npz(path) if path.suffix == ".npz" else read_pickle(path)

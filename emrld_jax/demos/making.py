@@ -58,11 +58,9 @@ def make_demos(name: str, quality: str, seed: int, training: Training, report: R
     env = make(name)
     train, test = env.train_tasks(), env.test_tasks()
     tasks = jax.tree.map(lambda a, b: jnp.concatenate([a, b]), train, test)
-    expert_keys = (*jax.random.split(jax.random.key(seed)), training, report)
-    if training.sparse_iterations:
-        played = after_training(name, quality, tasks, *expert_keys)
-    else:
-        played = once_it_fits(name, quality, tasks, *expert_keys)
+    train_key, play_key = jax.random.split(jax.random.key(seed))
+    played_by = after_training if training.sparse_iterations else once_it_fits
+    played = played_by(name, quality, tasks, train_key, play_key, training, report)
     check_quality(env, quality, played)
     return _as_file(env, quality, train, test, played)
 

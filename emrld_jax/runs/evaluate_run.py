@@ -12,7 +12,7 @@ from rich.table import Table
 from emrld_jax.demos import DemoSet
 from emrld_jax.runs.checkpoints import Checkpoints
 from emrld_jax.runs.config import ConfigError, EvaluateConfig
-from emrld_jax.runs.evaluation import evaluator, summarize
+from emrld_jax.runs.evaluation import Evaluation, evaluator, summarize
 from emrld_jax.runs.files import write_json
 from emrld_jax.runs.film import film, prepare_films
 from emrld_jax.runs.folder import RunFolder, new_folder
@@ -20,7 +20,7 @@ from emrld_jax.runs.iteration import initial
 from emrld_jax.runs.pictures import adaptation_curve, draw_episodes, num_drawn
 from emrld_jax.runs.progress import tell
 from emrld_jax.runs.provenance import provenance, read_provenance, sha256
-from emrld_jax.runs.report import SPLITS, before_and_after, with_interval
+from emrld_jax.runs.report import SPLITS, before_and_after, tell_of_breakdowns, with_interval
 from emrld_jax.runs.saved import load_config, save_config
 from emrld_jax.runs.setup import Setup, set_up
 from emrld_jax.types import Params
@@ -40,12 +40,7 @@ def evaluate_run(config: EvaluateConfig, console: Console) -> int:
     folder = RunFolder(Path(str(config.run)))
     trained = load_config(folder.config)
     setup = set_up(replace(trained, adapt=config.adapt, demos=config.demos or trained.demos))
-    demos: DemoSet = getattr(setup.demos, config.tasks)
-    if not demos.demos.mask.shape[0]:
-        raise ConfigError(
-            f"tasks={config.tasks}: {setup.demos_path} has no demonstrations of "
-            f"{SPLITS[config.tasks]} tasks; tasks={_other(config.tasks)} takes the others"
-        )
+    demos = _demonstrations(config, setup)
     _tell_of_other_demonstrations(setup, folder, console)
     if config.video:
         prepare_films(setup.env)
@@ -72,16 +67,40 @@ def evaluate_run(config: EvaluateConfig, console: Console) -> int:
         "provenance": provenance(setup.demos_path),
     }
     target = new_folder(folder.evaluations / _name(config))
+    save_config(config, target / "config.yaml")
+    write_json(target / "evaluation.json", results)
+    console.print(_table(results["stages"], f"{title}, after {iteration} meta-iterations"))
+    tell_of_breakdowns(results["stages"], console)
     adaptation_curve(results["stages"], title, target / "adaptation")
+    _draw(config, setup, demos, evaluation, title, target)
+    tell(console, f"{target}: figures and pictures")
+    return 0
+
+
+def _demonstrations(config: EvaluateConfig, setup: Setup) -> DemoSet:
+    """Those of the tasks that are evaluated."""
+    demos: DemoSet = getattr(setup.demos, config.tasks)
+    if not demos.demos.mask.shape[0]:
+        raise ConfigError(
+            f"tasks={config.tasks}: {setup.demos_path} has no demonstrations of "
+            f"{SPLITS[config.tasks]} tasks; tasks={_other(config.tasks)} takes the others"
+        )
+    return demos
+
+
+def _draw(
+    config: EvaluateConfig,
+    setup: Setup,
+    demos: DemoSet,
+    evaluation: Evaluation,
+    title: str,
+    target: Path,
+) -> None:
+    """Pictures of the episodes, the film last: it takes longest."""
     panels = before_and_after(SPLITS[config.tasks], demos, evaluation)
     draw_episodes(setup.env, panels, title, target)
     if config.video:
         film(setup.env, panels, target)
-    save_config(config, target / "config.yaml")
-    write_json(target / "evaluation.json", results)
-    console.print(_table(results["stages"], f"{title}, after {iteration} meta-iterations"))
-    tell(console, f"{target}: figures and pictures")
-    return 0
 
 
 def evaluation_key(seed: int) -> jax.Array:

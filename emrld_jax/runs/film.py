@@ -35,15 +35,20 @@ def prepare_films(env: Env) -> None:
     if not is_runner(env):
         raise ConfigError(f"video=true is for half_cheetah; {env.name} has pictures of its paths")
     check_installed(("imageio",))
-    if sys.platform != "linux" or "MUJOCO_GL" in os.environ:
-        return
-    if (software := _software()) is None:
-        packages = " or ".join(package for _, package in SOFTWARE.values())
-        raise ConfigError(
-            f"video=true needs a library that renders without a display: install {packages} "
-            "(apt-get install ..), or set MUJOCO_GL=glfw where there is a display"
-        )
-    os.environ["MUJOCO_GL"] = software
+    packages = " or ".join(package for _, package in SOFTWARE.values())
+    advice = (
+        f"video=true needs a library that renders without a display: install {packages} "
+        "(apt-get install ..), or set MUJOCO_GL=glfw where there is a display"
+    )
+    if sys.platform == "linux" and "MUJOCO_GL" not in os.environ:
+        if (software := _software()) is None:
+            raise ConfigError(advice)
+        os.environ["MUJOCO_GL"] = software
+    try:
+        _render(env, np.zeros((1, 9)))
+    except Exception as error:  # of many kinds: a missing driver, an unknown MUJOCO_GL, ..
+        told = os.environ.get("MUJOCO_GL", "the system's default")
+        raise ConfigError(f"{advice}; MUJOCO_GL={told} fails: {error}") from error
 
 
 def film(env: Env, panels: Sequence[Panel], folder: Path) -> None:
@@ -57,6 +62,7 @@ def film(env: Env, panels: Sequence[Panel], folder: Path) -> None:
         f"{words}, {panel.title.rpartition(', ')[2]}": _episode(env, panel, direction)
         for direction, words in ((1.0, "forward"), (-1.0, "backward"))
         for panel in panels
+        if np.any(np.asarray(panel.demos.tasks.direction) == direction)
     }
     rendered = {title: _render(env, positions) for title, positions in shots.items()}
     captioned = np.stack([_captioned(rendered[title], title, shots[title]) for title in shots])

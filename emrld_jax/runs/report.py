@@ -52,6 +52,8 @@ def report_all(
             tell(console, f"{folder.path}: {_in_words(found[-1])}")
     if len(folders) == 1:
         console.print(_table(found[0]))
+        stages = [stage for split in found[0].values() if split for stage in split["stages"]]
+        tell_of_breakdowns(stages, console)
         tell(console, f"{folders[0].path}: results, pictures, checkpoints")
     else:
         console.print(_overview([setup.config for setup in setups], found, values))
@@ -90,6 +92,12 @@ def before_and_after(words: str, demos: DemoSet, evaluation: Evaluation) -> list
         Panel(f"{words} tasks, {when}", demos, evaluation.obs[:, k], evaluation.mask[:, k])
         for when, k in stages.items()
     ]
+
+
+def tell_of_breakdowns(stages: Sequence[dict[str, Any]], console: Console) -> None:
+    """A note if simulations broke down."""
+    if broken := max(stage["diverged"] for stage in stages):
+        tell(console, f"note: {broken:.2%} of simulations broke down, and their episodes ended")
 
 
 def with_interval(entry: dict[str, Any], name: str, form: str) -> str:

@@ -13,6 +13,7 @@ from emrld_jax.demos.shipped import QUALITIES
 from emrld_jax.meta.learner import MetaLearner
 from emrld_jax.runs.config import (
     ConfigError,
+    EnvSettings,
     TrainConfig,
     algorithm_settings,
     default_w_rl,
@@ -20,6 +21,8 @@ from emrld_jax.runs.config import (
 )
 from emrld_jax.settings import with_values
 from envs_jax import Env
+from envs_jax.half_cheetah import HalfCheetah
+from envs_jax.physics import resolve_backend
 
 
 class Setup(NamedTuple):
@@ -39,6 +42,7 @@ def set_up(config: TrainConfig) -> Setup:
         ConfigError, DemoError: settings or demonstrations are refused.
     """
     try:
+        config = replace(config, env=_resolved(config.env))
         env = make_env(config.env)
     except ValueError as error:
         raise ConfigError(str(error)) from error
@@ -49,6 +53,19 @@ def set_up(config: TrainConfig) -> Setup:
     if config.w_rl is None:
         config = replace(config, w_rl=default_w_rl(demos.quality))
     return Setup(config, path, demos, env, _learner(config, env, {}))
+
+
+def _resolved(settings: EnvSettings) -> EnvSettings:
+    """With the physics that this machine chooses, if any: a run goes on with what it began with."""
+    env = make_env(settings)
+    if not isinstance(env, HalfCheetah):
+        return settings
+    return replace(
+        settings,
+        backend=resolve_backend(env.backend),
+        mjx_iterations=env.mjx_iterations,
+        mjx_line_search=env.mjx_line_search,
+    )
 
 
 def with_config(setup: Setup, config: TrainConfig) -> Setup:

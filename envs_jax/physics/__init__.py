@@ -16,7 +16,10 @@ import jax.numpy as jnp
 from envs_jax.physics.models import check_installed, load_model
 
 BACKENDS = ("auto", "mujoco", "mjx")
-PACKAGES = {"mujoco": ("mujoco", "gymnasium"), "mjx": ("mujoco", "gymnasium", "mujoco.mjx")}
+PACKAGES = {  # that a backend needs, found before anything is imported
+    "mujoco": ("mujoco", "mujoco.batch", "gymnasium"),
+    "mjx": ("mujoco", "mujoco.mjx", "gymnasium"),
+}
 
 
 class SlowBackendWarning(UserWarning):
@@ -57,7 +60,7 @@ def check_backend(backend: str) -> None:
     """
     if backend not in BACKENDS:
         raise ValueError(f"backend={backend!r} is unknown; choose one of: {', '.join(BACKENDS)}")
-    check_installed(PACKAGES.get(backend, PACKAGES["mujoco"]))
+    check_installed(PACKAGES.get(backend, PACKAGES["mujoco"]))  # auto may choose too early here
 
 
 def resolve_backend(backend: str) -> str:
@@ -67,9 +70,8 @@ def resolve_backend(backend: str) -> str:
     return "mujoco" if jax.default_backend() == "cpu" else "mjx"
 
 
-@lru_cache(maxsize=16)
 def make_physics(choice: Choice) -> Physics:
-    """The chosen physics.
+    """The chosen physics; equal choices share one.
 
     Warns:
         SlowBackendWarning: MJX on a CPU.
@@ -79,8 +81,15 @@ def make_physics(choice: Choice) -> Physics:
     """
     backend = resolve_backend(choice.backend)
     check_backend(backend)
+    if backend == "mujoco":  # which has no use for MJX's numbers
+        choice = choice._replace(mjx_iterations=0, mjx_line_search=0)
+    return _made(choice._replace(backend=backend))
+
+
+@lru_cache(maxsize=16)
+def _made(choice: Choice) -> Physics:
     model = load_model(choice.model)
-    if backend == "mujoco":
+    if choice.backend == "mujoco":
         from envs_jax.physics.engine import Engine  # noqa: PLC0415
 
         return Engine(model, choice.frame_skip)
@@ -90,7 +99,7 @@ def make_physics(choice: Choice) -> Physics:
         warnings.warn(
             "backend=mjx on a CPU is about ten times as slow as backend=mujoco, the engine in C",
             SlowBackendWarning,
-            stacklevel=2,
+            stacklevel=3,
         )
     return Mjx(model, choice.frame_skip, choice.mjx_iterations, choice.mjx_line_search)
 

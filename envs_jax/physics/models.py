@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import hashlib
+import json
 import warnings
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from importlib.metadata import version
 from importlib.util import find_spec
 from pathlib import Path
+from threading import RLock
 from typing import Any
 
 import numpy as np
@@ -16,54 +18,16 @@ import numpy as np
 PACKAGES = ("mujoco", "gymnasium")  # whose versions decide what is compiled
 EXTRA = "mujoco"  # of this project, which brings them
 
-# What the models were that our demonstrations and results were made with: see `fingerprint`.
-RECORDED = {
-    "half_cheetah": {
-        "opt.timestep": "312b95ee",
-        "opt.gravity": "a6065b41",
-        "opt.integrator": "5feceb66",
-        "opt.solver": "d4735e3a",
-        "opt.cone": "5feceb66",
-        "opt.iterations": "ad573668",
-        "opt.tolerance": "9b1121f5",
-        "qpos0": "b07fb9f9",
-        "body_pos": "f3f2fb43",
-        "body_ipos": "38ab042c",
-        "body_iquat": "4d1cb414",
-        "body_mass": "ac31d688",
-        "body_inertia": "50f43904",
-        "jnt_type": "2e4300dc",
-        "jnt_axis": "5180777c",
-        "jnt_pos": "fb85b007",
-        "jnt_range": "e3e760de",
-        "jnt_stiffness": "9001f26a",
-        "jnt_solref": "fcd52fe0",
-        "jnt_solimp": "4427198a",
-        "dof_damping": "d0487506",
-        "dof_armature": "307c1183",
-        "geom_type": "cfbe2041",
-        "geom_size": "099a0395",
-        "geom_pos": "46d9345e",
-        "geom_quat": "9e615aa1",
-        "geom_friction": "fe35b3b2",
-        "geom_solref": "fcd52fe0",
-        "geom_solimp": "32624d47",
-        "geom_contype": "89b07c07",
-        "geom_conaffinity": "a06c059f",
-        "actuator_gear": "04f6221d",
-        "actuator_ctrlrange": "7a85b3d6",
-    }
-}
-
-# what decides how a model moves
-OPTIONS = ("timestep", "gravity", "integrator", "solver", "cone", "iterations", "tolerance")
-FIELDS = (
-    *("qpos0", "body_pos", "body_ipos", "body_iquat", "body_mass", "body_inertia"),
-    *("jnt_type", "jnt_axis", "jnt_pos", "jnt_range", "jnt_stiffness", "jnt_solref", "jnt_solimp"),
-    *("dof_damping", "dof_armature", "geom_type", "geom_size", "geom_pos", "geom_quat"),
-    *("geom_friction", "geom_solref", "geom_solimp", "geom_contype", "geom_conaffinity"),
-    *("actuator_gear", "actuator_ctrlrange"),
+# Arrays of a model that decide how it moves, and those among them that do not: how it looks,
+# what belongs to users, where things lie in other arrays.
+PHYSICAL = ("actuator_", "body_", "dof_", "geom_", "jnt_", "qpos")
+OTHER = ("user", "group", "rgba", "matid", "castshadow", "plugin", "adr", "bvhnum", "dataid")
+# `fingerprint` of the models that our demonstrations and results were made with
+RECORDED: dict[str, dict[str, str]] = json.loads(
+    (Path(__file__).parent / "recorded_models.json").read_text()
 )
+
+_handler_lock = RLock()
 
 
 class MissingPackageError(ImportError):
@@ -75,7 +39,7 @@ class ModelChangedWarning(UserWarning):
 
 
 def check_installed(packages: Sequence[str]) -> None:
-    """Looks for packages that physics needs, without importing them.
+    """Looks for packages, or modules right in one, without importing them.
 
     Raises:
         MissingPackageError: one is not there.
@@ -102,7 +66,7 @@ def load_model(name: str) -> Any:
     with silent_mujoco():
         model = mujoco.MjModel.from_xml_path(str(_assets() / f"{name}.xml"))
     found, recorded = fingerprint(model), RECORDED[name]
-    if changed := [key for key in recorded if recorded[key] != found[key]]:
+    if changed := [key for key in recorded if recorded[key] != found.get(key)]:
         versions = ", ".join(f"{package} {version(package)}" for package in PACKAGES)
         warnings.warn(
             f"{name}: the model that {versions} compile differs in {', '.join(changed)} from the "
@@ -114,10 +78,25 @@ def load_model(name: str) -> Any:
 
 
 def fingerprint(model: Any) -> dict[str, str]:
-    """A short hash of each array that decides how a model moves, to six significant digits."""
-    arrays = {f"opt.{name}": getattr(model.opt, name) for name in OPTIONS}
-    arrays |= {name: getattr(model, name) for name in FIELDS}
-    return {name: _hash(np.asarray(array)) for name, array in arrays.items()}
+    """A short hash of each array that decides how a model moves, to six significant digits.
+
+    Arrays without an element are left out.
+    """
+    arrays = {f"opt.{name}": getattr(model.opt, name) for name in _public(model.opt)}
+    arrays |= {
+        name: getattr(model, name)
+        for name in _public(model)
+        if name.startswith(PHYSICAL) and not name.endswith(OTHER)
+    }
+    return {
+        name: _hash(np.asarray(value))
+        for name, value in arrays.items()
+        if not callable(value) and np.size(value)
+    }
+
+
+def _public(owner: Any) -> list[str]:
+    return [name for name in dir(owner) if not name.startswith("_")]
 
 
 def _hash(array: np.ndarray) -> str:
@@ -127,22 +106,29 @@ def _hash(array: np.ndarray) -> str:
 
 @contextmanager
 def silent_mujoco() -> Iterator[None]:
-    """Without MuJoCo's warnings, which it would also write into a file where we are."""
+    """Without MuJoCo's warnings, which it would also write into a file where we are.
+
+    What takes them belongs to the whole process, so this is for one thread at a time.
+    """
     import mujoco  # noqa: PLC0415
 
-    before = mujoco.get_mju_user_warning()
-    mujoco.set_mju_user_warning(lambda message: None)
-    try:
-        yield
-    finally:
-        mujoco.set_mju_user_warning(before)
+    with _handler_lock:
+        before = mujoco.get_mju_user_warning()
+        mujoco.set_mju_user_warning(lambda message: None)
+        try:
+            yield
+        finally:
+            mujoco.set_mju_user_warning(before)
 
 
 def _is_installed(package: str) -> bool:
-    try:
-        return find_spec(package) is not None
-    except ModuleNotFoundError:  # its parent is missing
-        return False
+    """Whether there is a package, or a module right in one; imports neither."""
+    parent, _, module = package.partition(".")
+    spec = find_spec(parent)
+    if spec is None or not module:
+        return spec is not None
+    folders = [Path(folder) for folder in spec.submodule_search_locations or ()]
+    return any((f / module).is_dir() or (f / f"{module}.py").is_file() for f in folders)
 
 
 def _assets() -> Path:

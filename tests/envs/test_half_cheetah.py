@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import subprocess
+import sys
 import warnings
 from collections.abc import Callable
 from dataclasses import replace
@@ -9,12 +11,16 @@ from functools import cache
 from pathlib import Path
 from typing import Any
 
+import gymnasium
 import jax
 import jax.numpy as jnp
+import mujoco
 import numpy as np
 import pytest
 
 import envs_jax
+from emrld_jax.policy import gaussian_policy
+from emrld_jax.sampling.rollouts import collector
 from envs_jax.half_cheetah import CheetahTask, HalfCheetah
 from envs_jax.physics import SlowBackendWarning, pack
 from envs_jax.physics.engine import Engine
@@ -27,8 +33,6 @@ from envs_jax.physics.models import (
     load_model,
     silent_mujoco,
 )
-
-mujoco = pytest.importorskip("mujoco")
 
 STATES = 60
 FORWARD, BACKWARD = CheetahTask(jnp.array(1.0)), CheetahTask(jnp.array(-1.0))
@@ -152,7 +156,6 @@ def test_a_breakdown_ends_the_episode_without_reward() -> None:
 
 
 def test_the_observation_is_gymnasiums_and_the_torsos_center() -> None:
-    gymnasium = pytest.importorskip("gymnasium")
     with silent_mujoco():
         gym: Any = gymnasium.make("HalfCheetah-v5").unwrapped
         gym.reset(seed=0)
@@ -246,15 +249,57 @@ def test_mjx_on_a_cpu_says_that_it_is_slow() -> None:
     assert isinstance(HalfCheetah().physics, Engine)
 
 
-def test_a_model_that_has_changed_is_noticed(monkeypatch: pytest.MonkeyPatch) -> None:
+@pytest.mark.parametrize(
+    ("name", "index", "value"),
+    [
+        ("body_mass", 1, 6.0),
+        ("geom_condim", 3, 1),
+        ("jnt_limited", 4, 0),
+        ("qpos_spring", 5, 0.1),
+        ("dof_frictionloss", 2, 0.1),
+        ("actuator_gainprm", 0, 2.0),
+        ("opt.disableflags", None, 16),  # no contacts
+        ("opt.impratio", None, 2.0),
+    ],
+)
+def test_a_model_that_has_changed_is_noticed(
+    name: str, index: int | None, value: float, monkeypatch: pytest.MonkeyPatch
+) -> None:
     with warnings.catch_warnings():
         warnings.simplefilter("error")
         changed = load_model("half_cheetah")
     assert fingerprint(changed) == RECORDED["half_cheetah"]
-    changed.body_mass[1] *= 1.001
+    if index is None:
+        setattr(changed.opt, name.removeprefix("opt."), value)
+    else:
+        getattr(changed, name)[index] = value
     monkeypatch.setitem(RECORDED, "half_cheetah", fingerprint(changed))
-    with pytest.warns(ModelChangedWarning, match="differs in body_mass from"):
+    with pytest.warns(ModelChangedWarning, match=f"differs in {name} from"):
         load_model("half_cheetah")
+
+
+def test_looking_for_packages_imports_none() -> None:
+    """What MuJoCo renders with is read when it is imported, so that must not be too early."""
+    code = "import sys, envs_jax; envs_jax.make('half_cheetah', backend='mjx'); "
+    code += "sys.exit('mujoco' in sys.modules)"
+    assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 0
+
+
+def test_both_backends_collect_the_same_episodes() -> None:
+    """As long as they have not drifted apart; and each gives the same numbers for the same key."""
+    policy = gaussian_policy(20, 6, hidden_sizes=(8,))
+    params, found = policy.init(jax.random.key(0)), {}
+    for backend in ("mujoco", "mjx"):
+        env = HalfCheetah(reward="dense", horizon=6, backend=backend)
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore", SlowBackendWarning)
+            collect = jax.jit(collector(env, policy, 3, 0.95, 1.0))
+            found[backend] = collect(params, jax.random.key(1), BACKWARD)
+            again = collect(params, jax.random.key(1), BACKWARD)
+        np.testing.assert_array_equal(found[backend].trajectory.obs, again.trajectory.obs)
+    for name in ("obs", "action", "reward"):
+        ours, theirs = (getattr(found[b].trajectory, name) for b in ("mjx", "mujoco"))
+        np.testing.assert_allclose(ours, theirs, atol=2e-2)
 
 
 def test_the_papers_cheetahs_move_as_ours(paper_demos: Path) -> None:

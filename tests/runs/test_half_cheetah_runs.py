@@ -15,8 +15,6 @@ from tests.runs.conftest import TINY
 from tests.runs.test_run import assert_same_run
 from tests.runs.test_together import assert_same_curve
 
-pytest.importorskip("mujoco")
-
 START = ("env=half_cheetah", *TINY)
 
 
