@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import sys
 import traceback
+import warnings
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -86,9 +87,15 @@ def _check_used(algo: str, values: Values) -> None:
             raise ConfigError(f"{key} has no effect with algo={algo}; it is for {users}")
 
 
+def _show_warning(message: Warning | str, *_: Any, **__: Any) -> None:
+    """Where in the code a warning comes from is of no use to who typed a command."""
+    print(f"warning: {message}", file=sys.stderr, flush=True)
+
+
 def run_command(main: Callable[[], int]) -> NoReturn:
     """Runs a command and exits; what the user can mend is told in one message, no traceback."""
     _keep_compiled_programs()
+    warnings.showwarning = _show_warning
     try:
         code = main()
     except ProcessLostError as error:

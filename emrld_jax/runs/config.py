@@ -44,11 +44,15 @@ class EnvSettings:
 
     name: str = setting("point2d", "the environment, chosen by env=NAME", choices=names())
     reward: str = setting(
-        "sparse", "nothing far from the goal, or minus the distance to it", choices=REWARDS
+        "sparse",
+        "sparse: none far from a goal (half_cheetah: near its start); dense: everywhere",
+        choices=REWARDS,
     )
     horizon: int = setting(100, "steps of an episode", at_least=1, at_most=100_000)
     reward_radius: float | None = setting(
-        None, "m from the goal within which sparse reward is not 0; null: the paper's", above=0
+        None,
+        "m from the goal within which sparse reward is not 0 (not half_cheetah); null: the paper's",
+        above=0,
     )
     zone_distance: float | None = setting(
         None,
@@ -61,10 +65,10 @@ class EnvSettings:
         choices=BACKENDS,
     )
     mjx_iterations: int | None = setting(
-        None, "half_cheetah: of MJX's contact solver; null: as docs/half_cheetah.md", at_least=1
+        None, "half_cheetah: of MJX's contact solver; null: 4, see docs/half_cheetah.md", at_least=1
     )
     mjx_line_search: int | None = setting(
-        None, "half_cheetah: of MJX's line search; null: as docs/half_cheetah.md", at_least=1
+        None, "half_cheetah: of MJX's line search; null: 4, see docs/half_cheetah.md", at_least=1
     )
 
 

@@ -97,7 +97,8 @@ def _render(env: Any, positions: np.ndarray) -> np.ndarray:
 
 
 def _way(positions: np.ndarray, t: int) -> str:
-    return f"{positions[t, 0] - positions[0, 0]:+.1f} m"
+    way = round(float(positions[t, 0] - positions[0, 0]), 1)
+    return f"{way + 0.0:+.1f} m"  # no -0.0
 
 
 def _captioned(frames: np.ndarray, title: str, positions: np.ndarray) -> np.ndarray:
@@ -135,7 +136,7 @@ def _strip(
             va="center",
         )
     for axes, t in zip(grid[0], times, strict=True):
-        axes.set_title(f"{env.dt * t:.1f} s")
+        axes.set_title(f"{env.dt * t:.2f} s")
     save(figure, path)
 
 

@@ -41,6 +41,7 @@ def _draw(axes: Axes, env: Any, panel: Panel) -> None:
     for direction, words in ((1.0, "forward"), (-1.0, "backward")):
         axes.plot([], [], color=COLORS[direction], label=f"should run {words}")
     axes.set(title=panel.title, xlabel="time (s)", ylabel="way from the start (m)")
+    axes.tick_params(labelbottom=True, labelleft=True)
     axes.legend(loc="upper left", frameon=False)
     axes.grid(alpha=0.2)
 
