@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import copy
+from collections.abc import Callable
 from contextlib import redirect_stdout
 from io import StringIO
 from typing import Any
@@ -16,6 +17,43 @@ with redirect_stdout(StringIO()):  # it would tell of optional packages that nob
     from mujoco import mjx
 
 LARGEST = 1e10  # what MuJoCo calls a number that has gone wrong
+
+
+CHUNK = 200  # simulations at once on a CPU, where XLA (0.10.2) hangs in MJX with 1000
+
+
+def in_flat_batches(function: Callable[..., Any]) -> Callable[..., Any]:
+    """A function of arrays that, however often it is vmapped, sees a single batch axis.
+
+    On a CPU it sees at most CHUNK elements at a time. It cannot be differentiated.
+    """
+
+    def of_batch(*batch: Any) -> Any:
+        if jax.default_backend() == "cpu" and batch[0].shape[0] > CHUNK:
+            return jax.lax.map(lambda one: function(*one), batch, batch_size=CHUNK)
+        return jax.vmap(function)(*batch)
+
+    many = jax.custom_batching.custom_vmap(of_batch)
+    single = jax.custom_batching.custom_vmap(function)
+
+    def rows(size: int, batched: Any, arguments: Any) -> list[Any]:
+        return [
+            x if own else jnp.broadcast_to(x, (size, *x.shape))
+            for x, own in zip(arguments, batched, strict=True)
+        ]
+
+    @single.def_vmap
+    def _(size: int, batched: Any, *arguments: Any) -> Any:
+        result = many(*rows(size, batched, arguments))
+        return result, jax.tree.map(lambda _: True, result)
+
+    @many.def_vmap
+    def _(size: int, batched: Any, *arguments: Any) -> Any:
+        flat = [x.reshape(-1, *x.shape[2:]) for x in rows(size, batched, arguments)]
+        result = jax.tree.map(lambda x: x.reshape(size, -1, *x.shape[1:]), many(*flat))
+        return result, jax.tree.map(lambda _: True, result)
+
+    return single
 
 
 class Mjx:
@@ -42,6 +80,9 @@ class Mjx:
 
     def advance(self, body: jax.Array, control: jax.Array) -> Advanced:
         """The body after `frame_skip` physics steps."""
+        return in_flat_batches(self._advance)(body, control)
+
+    def _advance(self, body: jax.Array, control: jax.Array) -> Advanced:
         nq, nv = self._nq, self._nv
         data = self._data.replace(
             qpos=body[:nq], qvel=body[nq : nq + nv], qacc_warmstart=body[nq + nv :], ctrl=control
