@@ -327,3 +327,9 @@ def test_the_papers_shifted_file(paper_demos, tmp_path) -> None:
     after = np.stack([x + change[0], y + change[1], theta + change[2]], axis=-1)
     both = mask[:, 1:] > 0
     np.testing.assert_allclose(after[:, :-1][both], obs[:, 1:][both], atol=1e-5)
+
+
+def test_recordings_of_chaotic_contacts_are_refused(tmp_path) -> None:
+    """Before they are read: their rows cannot be checked."""
+    with pytest.raises(DemoError, match="half_cheetah's recordings cannot be imported"):
+        import_file(tmp_path / "absent.npz", "half_cheetah", "optimal", command="")

@@ -24,7 +24,7 @@ from emrld_jax.sampling.rollouts import collector
 from envs_jax.half_cheetah import CheetahTask, HalfCheetah
 from envs_jax.physics import SlowBackendWarning, pack
 from envs_jax.physics.engine import Engine
-from envs_jax.physics.mjx import Mjx
+from envs_jax.physics.mjx import Mjx, in_flat_batches
 from envs_jax.physics.models import (
     RECORDED,
     ModelChangedWarning,
@@ -134,6 +134,36 @@ def test_a_simulation_that_breaks_down_stays_where_it_was(physics: Any, bad: flo
     np.testing.assert_array_equal(after.body[3], broken[3])
     others = np.arange(STATES) != 3
     np.testing.assert_array_equal(after.body[others], fine.body[others])
+
+
+@pytest.mark.parametrize("physics", [engine, mjx], ids=["mujoco", "mjx"])
+def test_a_torque_that_is_no_number_breaks_one_simulation(physics: Any) -> None:
+    bodies, torques = lively_bodies()
+    bad = torques.copy()
+    bad[3, 0] = np.nan
+    after, fine = advance_all(physics)(bodies, bad), advance_all(physics)(bodies, torques)
+    np.testing.assert_array_equal(after.diverged, np.arange(STATES) == 3)
+    np.testing.assert_array_equal(after.body[3], bodies[3])
+    others = np.arange(STATES) != 3
+    np.testing.assert_array_equal(after.body[others], fine.body[others])
+
+
+def test_a_function_sees_one_batch_axis_and_not_too_much_of_it() -> None:
+    """On a CPU, 3 x 5 x 17 = 255 elements are more than it takes at once."""
+    seen = []
+
+    def scaled(x: jax.Array, factor: jax.Array) -> jax.Array:
+        seen.append(x.shape)
+        return jnp.sum(factor * x)
+
+    x = np.arange(3 * 5 * 17 * 2, dtype=np.float32).reshape(3, 5, 17, 2)
+    factor = np.arange(5, dtype=np.float32)
+    function = in_flat_batches(scaled)
+    inner = jax.vmap(function, in_axes=(0, None))
+    result = jax.vmap(jax.vmap(inner), in_axes=(0, None))(x, factor)
+    np.testing.assert_allclose(result, x.sum(axis=-1) * factor[:, None], rtol=1e-6)
+    assert set(seen) == {(2,)}  # written for one element
+    np.testing.assert_allclose(function(x[0, 1, 2], factor[1]), x[0, 1, 2].sum())
 
 
 def test_nothing_is_written_where_we_are(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
