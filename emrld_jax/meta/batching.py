@@ -11,7 +11,8 @@ tasks is the mean over all tasks.
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import Any, TypeVar
+from functools import wraps
+from typing import Any, TypeVar, cast
 
 import jax
 
@@ -30,7 +31,16 @@ def one_at_a_time(function: Function) -> Function:
 
     So a `cond` in it stays a choice. Its arguments are arrays; it cannot be differentiated.
     """
-    return jax.custom_batching.sequential_vmap(function) if _on_cpu() else function
+    if not _on_cpu():
+        return function
+
+    @wraps(function)
+    def sequential(*arguments: Any) -> Any:
+        # what the function has from around it may be vmapped as well, such as a learning rate
+        converted, hoisted = jax.closure_convert(function, *arguments)
+        return jax.custom_batching.sequential_vmap(converted)(*arguments, *hoisted)
+
+    return cast(Function, sequential)
 
 
 def mean_over_devices(x: Any, axis: str | None) -> Any:

@@ -21,9 +21,9 @@ from jax.sharding import Mesh, NamedSharding
 from jax.sharding import PartitionSpec as P
 
 from emrld_jax.meta.batching import map_each, max_over_devices
-from emrld_jax.meta.learner import Experience, Gathered, MetaState, Programs, Sizes, bucket_sizes
+from emrld_jax.meta.learner import Gathered, MetaState, Programs, Sizes, bucket_sizes
 from emrld_jax.meta.outer import Metrics
-from emrld_jax.types import Demos, Params, Task
+from emrld_jax.types import Demos, Experience, Params, Task
 
 LEARNERS, TASKS = "learners", "tasks"  # the axes of a mesh
 
@@ -121,7 +121,8 @@ def _gather(
         def one(params: Params, keys: jax.Array, values: Values) -> Gathered:
             return programs_of(values).gather(params, keys, tasks, demos, TASKS)
 
-        experience, needed, metrics = map_each(one, params, keys, values)
+        # at once, also on a CPU: a simulator that is called steps all learners in one call
+        experience, needed, metrics = jax.vmap(one)(params, keys, values)
         most = jax.tree.map(jnp.max, needed)
         return Gathered(experience, max_over_devices(most, LEARNERS), metrics)
 
