@@ -131,7 +131,7 @@ class AdaptSettings:
 
 @dataclass
 class MetaSettings:
-    """The outer step: how the meta-parameters learn over all tasks, by TRPO."""
+    """The outer step: how the meta-parameters learn over all tasks, by TRPO or by gradients."""
 
     iterations: int = setting(200, "meta-iterations", at_least=1)
     max_kl: float = setting(
@@ -148,6 +148,18 @@ class MetaSettings:
         0.5, "factor by which the line search shortens a refused step", above=0, below=1
     )
     max_backtracks: int = setting(15, "step lengths that the line search tries", at_least=1)
+    learning_rate: float = setting(
+        0.01, "length of a gradient step, for algorithms without TRPO", at_least=0
+    )
+    gradient_steps: int = setting(
+        5, "ProMP's gradient steps on the episodes of one meta-iteration", at_least=1
+    )
+    clip: float = setting(
+        0.3, "ProMP: how far from 1 the ratio of likelihoods counts", above=0, below=1
+    )
+    kl_penalty: float = setting(
+        0.0005, "ProMP: weight of the KL divergence of the policies before adaptation", at_least=0
+    )
 
 
 @dataclass

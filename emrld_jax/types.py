@@ -26,6 +26,7 @@ class Trajectory(NamedTuple):
     success: jax.Array  # [E, T], 1 at a step that was a success
     diverged: jax.Array  # [E, T], 1 at a step in which the simulation broke down
     mask: jax.Array  # [E, T], 1 up to and with the ending step
+    log_prob: jax.Array  # [E, T], of the action when it was sampled
 
 
 class Rollout(NamedTuple):
@@ -48,6 +49,16 @@ class Gaussian(NamedTuple):
 
     mean: jax.Array  # [.., A], policy units
     log_std: jax.Array  # [.., A]
+
+
+Rollouts = tuple[Rollout | None, ...]  # one an inner step; None where it is not on-policy
+
+
+class Experience(NamedTuple):
+    """The episodes of one meta-iteration, with a leading [M] for a batch of tasks."""
+
+    inner: Rollouts  # that each on-policy inner step collected
+    outer: Rollout  # that the adapted policies collected
 
 
 # Collects a task's episodes with a policy, in simulation, in an evaluation or with a real robot.

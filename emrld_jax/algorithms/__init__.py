@@ -4,9 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
+from emrld_jax.algorithms.emaml import emaml
 from emrld_jax.algorithms.emrld import emrld
 from emrld_jax.algorithms.emrld_ws import emrld_ws
+from emrld_jax.algorithms.gmps import gmps
 from emrld_jax.algorithms.maml import maml
+from emrld_jax.algorithms.meta_bc import meta_bc
+from emrld_jax.algorithms.promp import promp
+from emrld_jax.algorithms.reptile import reptile
 from emrld_jax.meta.learner import MetaLearner
 from emrld_jax.settings import Settings
 from envs_jax import Env
@@ -14,14 +19,30 @@ from envs_jax import Env
 __all__ = ["make", "names", "uses"]
 
 _ALGORITHMS: dict[str, Callable[[Env, Settings], MetaLearner]] = {
-    function.__name__: function for function in (emrld, emrld_ws, maml)
+    function.__name__: function
+    for function in (emrld, emrld_ws, maml, meta_bc, gmps, promp, emaml, reptile)
 }
+
+_TRPO = (
+    *("meta.max_kl", "meta.cg_iterations", "meta.damping", "meta.fisher_every"),
+    *("meta.backtrack_ratio", "meta.max_backtracks"),
+)
+_PROMP = ("meta.gradient_steps", "meta.clip", "meta.kl_penalty")
+_GRADIENT = ("meta.learning_rate", *_PROMP)
+_WEIGHTS = ("w_rl", "w_bc")
+_WARM_START = ("adapt.warm_start_rate",)
+_EPISODES = ("adapt.discount", "adapt.gae_lambda")
 
 # settings that an algorithm has no use for, by their full name
 _UNUSED = {
-    "emrld": ("adapt.warm_start_rate",),
-    "emrld_ws": (),
-    "maml": ("w_rl", "w_bc", "adapt.warm_start_rate"),
+    "emrld": (*_WARM_START, *_GRADIENT),
+    "emrld_ws": _GRADIENT,
+    "maml": (*_WEIGHTS, *_WARM_START, *_GRADIENT),
+    "meta_bc": (*_WEIGHTS, *_WARM_START, *_TRPO, *_PROMP, *_EPISODES),
+    "gmps": (*_WEIGHTS, *_WARM_START, *_TRPO, *_PROMP),
+    "promp": (*_WEIGHTS, *_WARM_START, *_TRPO),
+    "emaml": (*_WEIGHTS, *_WARM_START, *_GRADIENT),
+    "reptile": (*_WEIGHTS, *_WARM_START, *_TRPO, *_PROMP),
 }
 
 

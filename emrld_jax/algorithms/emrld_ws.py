@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-from emrld_jax.algorithms.parts import on_policy_steps, trpo_learner
-from emrld_jax.meta.inner import InnerStep, enhanced_loss
+from emrld_jax.algorithms.parts import learner, on_policy_steps, trust_region
+from emrld_jax.meta.inner import InnerStep, demonstrations, enhanced_loss
 from emrld_jax.meta.learner import MetaLearner
+from emrld_jax.meta.outer_losses import adapted_surrogate
 from emrld_jax.settings import Settings
 from envs_jax import Env
 
@@ -15,11 +16,6 @@ def emrld_ws(env: Env, settings: Settings) -> MetaLearner:
     These use the warm-started policy's episodes. The meta-gradient goes through all steps.
     """
     adapt = settings.adapt
-    warm_start = InnerStep(
-        enhanced_loss(w_rl=0.0, w_bc=1.0),
-        adapt.warm_start_rate,
-        on_policy=False,
-        first_order=adapt.first_order,
-    )
-    loss = enhanced_loss(settings.w_rl, settings.w_bc)
-    return trpo_learner(env, settings, (warm_start, *on_policy_steps(loss, settings)))
+    warm_start = InnerStep(demonstrations(), adapt.warm_start_rate, False, adapt.first_order)
+    steps = on_policy_steps(enhanced_loss(settings.w_rl, settings.w_bc), settings)
+    return learner(env, settings, (warm_start, *steps), adapted_surrogate(), trust_region(settings))

@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 from emrld_jax.meta.adaptation import InnerSteps
-from emrld_jax.meta.inner import InnerLoss, InnerStep
+from emrld_jax.meta.inner import InnerLoss, InnerStep, demonstrations
 from emrld_jax.meta.learner import MetaLearner, meta_learner
-from emrld_jax.meta.outer import surrogate_objective
+from emrld_jax.meta.outer import OuterLoss, OuterOptimizer
 from emrld_jax.meta.trpo import trpo
 from emrld_jax.policy import gaussian_policy
 from emrld_jax.sampling.rollouts import collector
@@ -20,9 +20,22 @@ def on_policy_steps(loss: InnerLoss, settings: Settings) -> InnerSteps:
     return (step,) * adapt.num_steps
 
 
-def trpo_learner(env: Env, settings: Settings, inner_steps: InnerSteps) -> MetaLearner:
-    """A meta-learner whose outer step is TRPO on the episodes of the adapted policies."""
-    adapt, meta, net = settings.adapt, settings.meta, settings.policy
+def demonstration_steps(settings: Settings) -> InnerSteps:
+    """`adapt.num_steps` inner steps on the demonstrations alone; they collect no episodes."""
+    adapt = settings.adapt
+    step = InnerStep(demonstrations(), adapt.learning_rate, False, adapt.first_order)
+    return (step,) * adapt.num_steps
+
+
+def learner(
+    env: Env,
+    settings: Settings,
+    inner_steps: InnerSteps,
+    outer_loss: OuterLoss,
+    optimizer: OuterOptimizer,
+) -> MetaLearner:
+    """A meta-learner with the settings' policy, which collects in the environment."""
+    adapt, net = settings.adapt, settings.policy
     policy = gaussian_policy(
         env.observation_size,
         env.action_size,
@@ -38,13 +51,19 @@ def trpo_learner(env: Env, settings: Settings, inner_steps: InnerSteps) -> MetaL
         policy,
         inner_steps,
         collector(env, policy, adapt.num_episodes, adapt.discount, adapt.gae_lambda),
-        lambda policies, experience, demos: surrogate_objective(policies, experience.outer),
-        trpo(
-            max_kl=meta.max_kl,
-            cg_iterations=meta.cg_iterations,
-            damping=meta.damping,
-            backtrack_ratio=meta.backtrack_ratio,
-            max_backtracks=meta.max_backtracks,
-        ),
-        curvature_every=meta.fisher_every,
+        outer_loss,
+        optimizer,
+        curvature_every=settings.meta.fisher_every,
+    )
+
+
+def trust_region(settings: Settings) -> OuterOptimizer:
+    """TRPO as the settings say."""
+    meta = settings.meta
+    return trpo(
+        max_kl=meta.max_kl,
+        cg_iterations=meta.cg_iterations,
+        damping=meta.damping,
+        backtrack_ratio=meta.backtrack_ratio,
+        max_backtracks=meta.max_backtracks,
     )

@@ -15,7 +15,8 @@ import jax
 import jax.numpy as jnp
 
 from emrld_jax.demos.value import ValueState, append_task, task_vector, value_network
-from emrld_jax.meta.outer import Metrics, Objective, OuterOptimizer, surrogate_objective
+from emrld_jax.meta.outer import Metrics, Objective, OuterOptimizer
+from emrld_jax.meta.outer_losses import surrogate_objective
 from emrld_jax.meta.trpo import trpo
 from emrld_jax.policy import Policy, gaussian_policy
 from emrld_jax.sampling.advantages import gae, normalize

@@ -10,10 +10,9 @@ import jax.numpy as jnp
 from emrld_jax.meta.batching import one_at_a_time
 from emrld_jax.meta.inner import InnerStep
 from emrld_jax.policy import Policy
-from emrld_jax.types import Collect, Demos, Params, Rollout, Task
+from emrld_jax.types import Collect, Demos, Params, Rollout, Rollouts, Task
 
 InnerSteps = tuple[InnerStep, ...]
-Rollouts = tuple[Rollout | None, ...]  # one an inner step; None where it is not on-policy
 
 
 class Adapted(NamedTuple):
@@ -80,8 +79,13 @@ def _descend_once(
 
 def readapt(
     policy: Policy, steps: InnerSteps, params: Params, rollouts: Rollouts, demos: Demos
-) -> Params:
-    """Adapts to one task on stored episodes: what meta-learning differentiates in `params`."""
+) -> tuple[Params, ...]:
+    """Adapts to one task on stored episodes: what meta-learning differentiates in `params`.
+
+    Returns:
+        The path, as in `Adapted`: before the first inner step, between them, after the last.
+    """
+    path = [params]
     for step, rollout in zip(steps, rollouts, strict=True):
-        params = descend(policy, step, params, rollout, demos)
-    return params
+        path.append(descend(policy, step, path[-1], rollout, demos))
+    return tuple(path)

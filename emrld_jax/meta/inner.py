@@ -36,6 +36,17 @@ def policy_gradient_loss(policy: Policy, params: Params, rollout: Rollout) -> ja
     return -masked_mean(rollout.advantage * density, steps.mask)
 
 
+def likelihood_ratio_loss(policy: Policy, params: Params, rollout: Rollout) -> jax.Array:
+    """-mean(advantage * ratio), the ratio that of the policy to the one that collected.
+
+    Where the two are equal its gradient is the policy gradient; its second derivatives also hold
+    how the distribution of actions depends on the parameters (ProMP, Rothfuss et al. 2019).
+    """
+    steps = rollout.trajectory
+    density = log_prob(policy.apply(params, steps.obs), steps.action)
+    return -masked_mean(rollout.advantage * jnp.exp(density - steps.log_prob), steps.mask)
+
+
 def demonstration_loss(policy: Policy, params: Params, demos: Demos) -> jax.Array:
     """-mean(log_prob) over the task's demonstration steps: behavior cloning."""
     density = log_prob(policy.apply(params, demos.obs), demos.action)
@@ -59,5 +70,26 @@ def enhanced_loss(w_rl: float | jax.Array, w_bc: float | jax.Array) -> InnerLoss
         if not _is_zero(w_bc):
             total += w_bc * demonstration_loss(policy, params, demos)
         return total
+
+    return loss
+
+
+def policy_gradient() -> InnerLoss:
+    """The policy gradient alone."""
+    return enhanced_loss(w_rl=1.0, w_bc=0.0)
+
+
+def demonstrations() -> InnerLoss:
+    """The demonstrations alone."""
+    return enhanced_loss(w_rl=0.0, w_bc=1.0)
+
+
+def likelihood_ratio() -> InnerLoss:
+    """The likelihood ratio alone, on episodes."""
+
+    def loss(policy: Policy, params: Params, rollout: Rollout | None, demos: Demos) -> jax.Array:
+        if rollout is None:
+            raise ValueError("the likelihood ratio needs episodes: the step must be on-policy")
+        return likelihood_ratio_loss(policy, params, rollout)
 
     return loss

@@ -11,9 +11,9 @@ import jax
 import jax.numpy as jnp
 from jax.flatten_util import ravel_pytree
 
-from emrld_jax.meta.adaptation import Adapted, InnerSteps, Rollouts, adapt, readapt
+from emrld_jax.meta.adaptation import Adapted, InnerSteps, adapt, readapt
 from emrld_jax.meta.batching import map_each, max_over_devices, mean_over_devices
-from emrld_jax.meta.outer import Metrics, Objective, OuterOptimizer
+from emrld_jax.meta.outer import Metrics, Objective, OuterLoss, OuterOptimizer
 from emrld_jax.policy import Policy
 from emrld_jax.sampling.rollouts import (
     episode_divergences,
@@ -23,7 +23,7 @@ from emrld_jax.sampling.rollouts import (
     living_steps,
     without_idle_steps,
 )
-from emrld_jax.types import Collect, Demos, Gaussian, Params, Rollout, Task
+from emrld_jax.types import Collect, Demos, Experience, Params, Rollout, Task
 
 # Sizes, as parts of all steps, that a batch of gathered steps is padded to: each compiles once.
 BUCKETS = (0.0, 0.25, 0.5, 1.0)
@@ -34,13 +34,6 @@ class MetaState(NamedTuple):
 
     params: Params
     opt_state: Any
-
-
-class Experience(NamedTuple):
-    """The episodes of one meta-iteration, with a leading [M]."""
-
-    inner: Rollouts  # that each on-policy inner step collected
-    outer: Rollout  # that the adapted policies collected
 
 
 Sizes = Any  # an Experience with a number of steps in place of each Rollout
@@ -88,16 +81,11 @@ class MetaLearner(NamedTuple):
     programs: Programs  # what `update` is made of
 
 
-# (policies, experience, demos [M]) -> objective, where policies(params) are the adapted policies at
-# the outer episodes' observations, [M, S, A]
-OuterObjective = Callable[[Callable[[Params], Gaussian], Experience, Demos], Objective]
-
-
 def meta_learner(
     policy: Policy,
     inner_steps: InnerSteps,
     collect: Collect,
-    outer_objective: OuterObjective,
+    outer_loss: OuterLoss,
     optimizer: OuterOptimizer,
     curvature_every: int = 1,
 ) -> MetaLearner:
@@ -125,9 +113,12 @@ def meta_learner(
     ) -> Gathered:
         experience = jax.vmap(gather_one, in_axes=(None, 0, 0, 0))(params, keys, tasks, demos)
         metrics = mean_over_devices(_episode_metrics(experience), axis)
-        # adaptation weighs steps by their advantage, the trust region does not
-        inner = jax.tree.map(jax.vmap(without_idle_steps), experience.inner, is_leaf=_is_rollout)
-        experience = experience._replace(inner=inner)
+        if not outer_loss.idle_steps:
+            # adaptation weighs steps by their advantage, the trust region does not
+            inner = jax.tree.map(
+                jax.vmap(without_idle_steps), experience.inner, is_leaf=_is_rollout
+            )
+            experience = experience._replace(inner=inner)
         most = jax.tree.map(lambda r: jnp.max(living_steps(r)), experience, is_leaf=_is_rollout)
         return Gathered(experience, max_over_devices(most, axis), metrics)
 
@@ -135,9 +126,21 @@ def meta_learner(
         experience: Experience, demos: Demos, sizes: Sizes, axis: str | None, every: int
     ) -> Objective:
         steps = _gather_living(experience, sizes, every)
-        policies = _adapted_policies(policy, inner_steps, steps, demos)
         average = partial(mean_over_devices, axis=axis)
-        return outer_objective(policies, steps, demos)._replace(average=average)
+
+        def outputs(params: Params) -> Any:
+            def of_task(experience: Experience, demos: Demos) -> Any:
+                path = readapt(policy, inner_steps, params, experience.inner, demos)
+                return outer_loss.outputs(policy, path, experience, demos)
+
+            return map_each(of_task, steps, demos)
+
+        return Objective(
+            outputs,
+            lambda new, old: outer_loss.loss(new, old, steps, demos, average),
+            lambda new, old: outer_loss.divergence(new, old, steps, demos),
+            average,
+        )
 
     def improve(
         state: MetaState, experience: Experience, demos: Demos, sizes: Sizes, axis: str | None
@@ -198,21 +201,6 @@ def _gather_living(experience: Experience, sizes: Sizes, every: int) -> Experien
         return jax.vmap(lambda r: gather_living(r, -(-size // every), every))(rollout)
 
     return jax.tree.map(of_tasks, experience, sizes, is_leaf=_is_rollout)
-
-
-def _adapted_policies(
-    policy: Policy, inner_steps: InnerSteps, experience: Experience, demos: Demos
-) -> Callable[[Params], Gaussian]:
-    """The adapted policies at the outer episodes' observations, of the meta-parameters."""
-
-    def policies(params: Params) -> Gaussian:
-        def of_task(inner: Rollouts, outer: Rollout, demos: Demos) -> Gaussian:
-            adapted = readapt(policy, inner_steps, params, inner, demos)
-            return policy.apply(adapted, outer.trajectory.obs)
-
-        return map_each(of_task, experience.inner, experience.outer, demos)
-
-    return policies
 
 
 def _episode_metrics(experience: Experience) -> Metrics:

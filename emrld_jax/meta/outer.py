@@ -1,4 +1,4 @@
-"""Outer objectives, functions of the meta-parameters, and what an optimizer of them is."""
+"""What the meta-parameters are to lower, and what an optimizer of it is."""
 
 from __future__ import annotations
 
@@ -6,13 +6,12 @@ from collections.abc import Callable
 from typing import Any, NamedTuple
 
 import jax
-import jax.numpy as jnp
 
-from emrld_jax.meta.inner import masked_mean
-from emrld_jax.policy import kl_divergence, log_prob
-from emrld_jax.types import Gaussian, Params, Rollout
+from emrld_jax.policy import Policy
+from emrld_jax.types import Demos, Experience, Params
 
 Metrics = dict[str, jax.Array]
+Average = Callable[[Any], Any]  # a pytree of means over a device's own tasks -> over all tasks
 
 
 class Objective(NamedTuple):
@@ -28,7 +27,7 @@ class Objective(NamedTuple):
     outputs: Callable[[Params], Any]
     loss: Callable[[Any, Any], jax.Array]  # (new outputs, old outputs) -> []
     divergence: Callable[[Any, Any], jax.Array]  # (new, old) -> [], least where they are equal
-    average: Callable[[Any], Any] = lambda own: own  # the mean over devices, of a pytree
+    average: Average = lambda own: own
 
 
 class OuterOptimizer(NamedTuple):
@@ -41,26 +40,17 @@ class OuterOptimizer(NamedTuple):
     update: Callable[[Objective, Objective, Params, Any], tuple[Params, Any, Metrics]]
 
 
-def surrogate(new: Gaussian, old: Gaussian, rollout: Rollout) -> jax.Array:
-    """-mean(ratio * advantage) over one task's steps: the improvement TRPO predicts, negated."""
-    action = rollout.trajectory.action
-    ratio = jnp.exp(log_prob(new, action) - log_prob(old, action))
-    return -masked_mean(ratio * rollout.advantage, rollout.trajectory.mask)
+class OuterLoss(NamedTuple):
+    """What the meta-parameters are to lower, by what adaptation makes of them.
 
-
-def surrogate_objective(policies: Callable[[Params], Gaussian], rollouts: Rollout) -> Objective:
-    """The TRPO surrogate with the KL divergence, averaged over a leading axis of tasks.
-
-    Args:
-        policies: the policies at the rollouts' observations, of the parameters, [M, S, A].
-        rollouts: fields [M, S, ..].
+    The outputs are one task's; the loss and the divergence see those of all tasks, [M, ..], with
+    the experience and the demonstrations that they were made on.
     """
-    mask = rollouts.trajectory.mask
 
-    def loss(new: Gaussian, old: Gaussian) -> jax.Array:
-        return jnp.mean(jax.vmap(surrogate)(new, old, rollouts))
-
-    def divergence(new: Gaussian, old: Gaussian) -> jax.Array:
-        return jnp.mean(jax.vmap(masked_mean)(kl_divergence(new, old), mask))
-
-    return Objective(policies, loss, divergence)
+    # (policy, path, experience, demos), the path as in `adaptation.readapt`
+    outputs: Callable[[Policy, tuple[Params, ...], Experience, Demos], Any]
+    # (new outputs, old outputs, experience, demos, average) -> []
+    loss: Callable[[Any, Any, Experience, Demos, Average], jax.Array]
+    divergence: Callable[[Any, Any, Experience, Demos], jax.Array]
+    # whether it looks at the steps before adaptation that adaptation itself has no use for
+    idle_steps: bool = False

@@ -5,7 +5,7 @@ from __future__ import annotations
 import jax
 import jax.numpy as jnp
 
-from emrld_jax.policy import Policy, sample
+from emrld_jax.policy import Policy, log_prob, sample
 from emrld_jax.sampling.advantages import advantages
 from emrld_jax.types import Collect, Params, Rollout, Task, Trajectory
 from envs_jax import Env, State
@@ -18,11 +18,12 @@ def episode(env: Env, policy: Policy, params: Params, key: jax.Array, task: Task
 
     def step(carry: tuple[State, jax.Array], noise: jax.Array) -> tuple[tuple, Trajectory]:
         state, alive = carry
-        action = sample(policy.apply(params, state.obs), noise)
+        gaussian = policy.apply(params, state.obs)
+        action = sample(gaussian, noise)
         following = env.step(state, action)
         success, diverged = following.metrics["success"], following.metrics["diverged"]
         outcome = (following.reward, following.done, success, diverged)
-        record = Trajectory(state.obs, action, *outcome, alive)
+        record = Trajectory(state.obs, action, *outcome, alive, log_prob(gaussian, action))
         return (following, alive * (1.0 - following.done)), record
 
     start = (env.reset(reset_key, task), jnp.ones(()))

@@ -10,7 +10,8 @@ import numpy as np
 
 from emrld_jax.meta.adaptation import InnerSteps, readapt
 from emrld_jax.meta.inner import InnerStep, enhanced_loss
-from emrld_jax.meta.outer import Objective, surrogate_objective
+from emrld_jax.meta.outer import Objective
+from emrld_jax.meta.outer_losses import surrogate_objective
 from emrld_jax.policy import Policy, gaussian_policy
 from emrld_jax.types import Demos, Gaussian, Params, Rollout, Trajectory
 
@@ -23,7 +24,7 @@ def random_rollout(seed: int, size: int = 12, living: int = 9) -> Rollout:
     obs, action = (jnp.asarray(rng.normal(size=(size, 2))) for _ in range(2))
     mask = jnp.asarray((np.arange(size) < living).astype(float))
     zero = jnp.zeros_like(mask)
-    steps = Trajectory(obs, action, zero, zero, zero, zero, mask)
+    steps = Trajectory(obs, action, zero, zero, zero, zero, mask, zero)
     return Rollout(steps, jnp.asarray(rng.normal(size=size)) * mask)
 
 
@@ -64,7 +65,7 @@ def adapted_objective(policy: Policy, steps: InnerSteps) -> tuple[Objective, Any
 
     def policies(params: Params) -> Gaussian:
         def of_task(inner: Any, demos: Demos, obs: jax.Array) -> Gaussian:
-            return policy.apply(readapt(policy, steps, params, inner, demos), obs)
+            return policy.apply(readapt(policy, steps, params, inner, demos)[-1], obs)
 
         return jax.vmap(of_task)(inner, demos, outer.trajectory.obs)
 

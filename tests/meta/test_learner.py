@@ -13,7 +13,7 @@ import pytest
 from emrld_jax.meta import learner as learner_module
 from emrld_jax.meta.inner import InnerStep, enhanced_loss
 from emrld_jax.meta.learner import BUCKETS, MetaLearner, bucket, meta_learner
-from emrld_jax.meta.outer import surrogate_objective
+from emrld_jax.meta.outer_losses import adapted_surrogate
 from emrld_jax.meta.trpo import trpo
 from emrld_jax.policy import Policy, gaussian_policy
 from emrld_jax.types import Gaussian, Params, Rollout, Trajectory
@@ -31,7 +31,9 @@ def canned(lengths: tuple[int, ...], seed: int = 0) -> Rollout:
     success = last & (np.arange(len(lengths)) % 2 == 0)[:, None]
     obs, action = (jnp.asarray(rng.normal(size=(*shape, 2)), jnp.float32) for _ in range(2))
     advantage = jnp.asarray(rng.normal(size=shape) * mask, jnp.float32)
-    numbers = [jnp.asarray(x, jnp.float32) for x in (np.ones(shape), last, success, last, mask)]
+    zero = np.zeros(shape)
+    fields = (np.ones(shape), last, success, last, mask, zero)
+    numbers = [jnp.asarray(x, jnp.float32) for x in fields]
     return Rollout(Trajectory(obs, action, *numbers), advantage)
 
 
@@ -82,7 +84,7 @@ def learner(
         policy,
         (step,),
         collect,
-        lambda policies, experience, demos: surrogate_objective(policies, experience.outer),
+        adapted_surrogate(),
         trpo(),
     )
 

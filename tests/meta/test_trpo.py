@@ -275,7 +275,7 @@ def test_a_real_update_improves_the_adapted_policies_within_max_kl(max_kl: float
         @jax.jit
         def adapted(p: Any) -> Any:
             def of_task(inner: Any, demos: Any, obs: jax.Array) -> Any:
-                return policy.apply(readapt(policy, steps, p, inner, demos), obs)
+                return policy.apply(readapt(policy, steps, p, inner, demos)[-1], obs)
 
             return jax.vmap(of_task)(inner, demos, outer.trajectory.obs)
 

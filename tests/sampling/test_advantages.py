@@ -34,6 +34,7 @@ def episodes(seed: int = 0, horizon: int = HORIZON) -> Trajectory:
         success=jnp.zeros(mask.shape),
         diverged=jnp.zeros(mask.shape),
         mask=jnp.asarray(mask),
+        log_prob=jnp.zeros(mask.shape),
     )
 
 

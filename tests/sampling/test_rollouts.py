@@ -57,7 +57,10 @@ def by_hand(env: Env, policy: Policy, params: Any, key: jax.Array, task: Any) ->
         action = np.asarray(mean) + np.exp(np.asarray(log_std)) * np.asarray(noise[t])
         following = env.step(state, jnp.asarray(action))
         outcome = (following.metrics["success"], following.metrics["diverged"])
-        rows.append((state.obs, action, following.reward, following.done, *outcome, 1.0))
+        z = np.asarray(noise[t])
+        density = np.mean(-0.5 * z**2 - np.asarray(log_std) - 0.5 * np.log(2 * np.pi))
+        step = (state.obs, action, following.reward, following.done, *outcome, 1.0, density)
+        rows.append(step)
         state = following
         if following.done:
             break
@@ -132,6 +135,7 @@ def test_figures_of_episodes_count_only_what_exists() -> None:
         success=jnp.array([[1.0, 1.0, 1.0], [0.0, 0.0, 0.0]]),
         diverged=jnp.array([[0.0, 0.0, 1.0], [0.0, 0.0, 1.0]]),
         mask=jnp.array([[1.0, 1.0, 0.0], [1.0, 1.0, 1.0]]),
+        log_prob=jnp.zeros((2, 3)),
     )
     np.testing.assert_array_equal(episode_returns(trajectory), [3.0, 6.0])
     np.testing.assert_array_equal(episode_successes(trajectory), [1.0, 0.0])
@@ -155,11 +159,12 @@ def random_rollout(lengths: tuple[int, ...], horizon: int = 5) -> Rollout:
     shape = (len(lengths), horizon)
     mask = (np.arange(horizon) < np.array(lengths)[:, None]).astype(np.float32)
     obs, action = (jnp.asarray(rng.normal(size=(*shape, 2)), jnp.float32) for _ in range(2))
-    reward, done, success, diverged, advantage = (
-        jnp.asarray(rng.normal(size=shape), jnp.float32) for _ in range(5)
+    reward, done, success, diverged, density, advantage = (
+        jnp.asarray(rng.normal(size=shape), jnp.float32) for _ in range(6)
     )
-    trajectory = Trajectory(obs, action, reward, done, success, diverged, jnp.asarray(mask))
-    return Rollout(trajectory, advantage)
+    exists = jnp.asarray(mask)
+    steps = Trajectory(obs, action, reward, done, success, diverged, exists, density)
+    return Rollout(steps, advantage)
 
 
 @pytest.mark.parametrize("every", [1, 2, 3])
