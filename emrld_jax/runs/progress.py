@@ -49,7 +49,7 @@ class ProgressView:
             return ""
         self._recent.append(seconds)
         left = (self._end - done) * median(self._recent)
-        return f"  {_clock(left)} left"
+        return f"  {clock(left)} left"
 
     def __enter__(self) -> Self:
         self._bar.start()
@@ -92,6 +92,7 @@ def figures(records: Sequence[Record]) -> str:
     )
 
 
-def _clock(seconds: float) -> str:
+def clock(seconds: float) -> str:
     minutes, rest = divmod(round(seconds), 60)
-    return f"{minutes}:{rest:02d}"
+    hours, minutes = divmod(minutes, 60)
+    return f"{hours}:{minutes:02d}:{rest:02d}" if hours else f"{minutes}:{rest:02d}"

@@ -1,0 +1,61 @@
+"""Programs handed to a launcher of Hydra's, as sweeps over environments and algorithms."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+import time
+from collections.abc import Callable, Sequence
+from pathlib import Path
+
+from emrld_jax.runs.signals import StopSignals
+from emrld_jax.study.programs import Program
+from emrld_jax.study.running import POLL_S, Outcome, log_of
+
+
+def sweeps(programs: Sequence[Program], launcher: str) -> list[list[str]]:
+    """Arguments of `emrld_jax.sweep` that train these programs, none of which has begun."""
+    columns: dict[tuple, dict[str, list[str]]] = {}  # algorithms by environment
+    for program in programs:
+        same = program._replace(env="", algo="")
+        columns.setdefault(same, {}).setdefault(program.env, []).append(program.algo)
+    made = []
+    for same, algos_of in columns.items():
+        for algos in dict.fromkeys(map(tuple, algos_of.values())):
+            envs = [env for env, own in algos_of.items() if tuple(own) == algos]
+            made.append([f"hydra/launcher={launcher}", *_arguments(same, envs, algos)])
+    return made
+
+
+def _arguments(same: tuple, envs: Sequence[str], algos: Sequence[str]) -> list[str]:
+    program = Program(*same)._replace(env=",".join(envs), algo=",".join(algos))
+    alone = program._replace(varied="", values=())
+    values = ",".join(f"{x:g}" for x in program.values)
+    varied = [f"{program.varied}={values}"] if program.varied else []
+    return [*alone.arguments(program.seeds[0], len(program.seeds)), *varied]
+
+
+def launch_all(
+    programs: Sequence[Program], launcher: str, watch: Callable[[Sequence[Program], float], None]
+) -> Outcome:
+    """Hands over what has not begun, all at once, and waits; what has begun is not continued."""
+    new = [p for p in programs if not any(folder.config.is_file() for folder in p.folders)]
+    start = time.monotonic()
+    with StopSignals() as stop:
+        children = [
+            subprocess.Popen(
+                [sys.executable, "-m", "emrld_jax.sweep", *arguments], stdin=subprocess.DEVNULL
+            )
+            for arguments in sweeps(new, launcher)
+        ]
+        while any(child.poll() is None for child in children):
+            time.sleep(POLL_S)
+            watch(new, time.monotonic() - start)
+            if stop.received is not None:
+                for child in children:
+                    child.send_signal(stop.received)
+                break
+        for child in children:
+            child.wait()
+    failed: list[tuple[Program, Path]] = [(p, log_of(p)) for p in programs if not p.finished]
+    return Outcome(failed, stop.exit_code)

@@ -1,0 +1,147 @@
+"""Which trainings the paper's figures need."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import NamedTuple
+
+from emrld_jax import algorithms
+from emrld_jax.demos.shipped import QUALITIES
+from emrld_jax.runs.config import ConfigError
+from emrld_jax.settings import setting
+from emrld_jax.study.programs import Program
+from envs_jax import names
+
+FIGURES = ("curves", "sensitivity", "ablation", "trajectories")
+COMPARED = ("emrld", "emrld_ws", "maml", "meta_bc", "gmps")  # in the paper
+WEIGHTS = (0.2, 0.4, 0.6, 0.8, 1.0)
+FAST = (  # what makes a training short, and its results meaningless
+    "meta.iterations=2",
+    "adapt.num_episodes=2",
+    "policy.hidden_sizes=[8,8]",
+    "evaluation_episodes=2",
+)
+
+
+@dataclass
+class ReproduceConfig:
+    """All settings of a reproduction."""
+
+    figure: str = setting(
+        "curves",
+        "curves: all algorithms on all environments; sensitivity: to w_rl and w_bc; ablation: "
+        "without one of the two; trajectories: under a drift of -0.65",
+        choices=(*FIGURES, "all"),
+    )
+    seeds: int = setting(5, "seeds of each line, from 0 on", at_least=1, at_most=1000)
+    fast: bool = setting(False, "two meta-iterations each, to see whether all of it works")
+    out: str = setting("reproduced", "folder of the runs, figures, tables and the report")
+    envs: list[str] = setting([*names()], "environments of the curves", choices=names())
+    demos: list[str] = setting([*QUALITIES], "demonstrations", choices=QUALITIES)
+    algos: list[str] = setting(
+        [*COMPARED], "algorithms of the curves and trajectories", choices=algorithms.names()
+    )
+    draw: bool = setting(False, "train nothing: only draw what is finished")
+    launcher: str | None = setting(
+        None, "hand the trainings to this launcher of Hydra's, such as submitit_slurm"
+    )
+
+
+class Study(NamedTuple):
+    """The trainings that one figure shows."""
+
+    figure: str
+    programs: tuple[Program, ...]
+
+
+def studies(config: ReproduceConfig) -> list[Study]:
+    """What the configuration asks for; a program that two figures show is in both.
+
+    Raises:
+        ConfigError: there is nothing to do.
+    """
+    made = [
+        Study(figure, tuple(_MAKE[figure](config)))
+        for figure in FIGURES
+        if config.figure in (figure, "all")
+    ]
+    if not any(study.programs for study in made):
+        raise ConfigError(f"figure={config.figure} needs none of envs={config.envs}")
+    return made
+
+
+def programs(planned: Sequence[Study]) -> list[Program]:
+    """Each program of the studies once."""
+    return list(dict.fromkeys(program for study in planned for program in study.programs))
+
+
+def takes_demonstrations(algo: str) -> bool:
+    """Whether an algorithm's results depend on the demonstrations."""
+    return algo not in ("maml", "promp", "emaml", "reptile")
+
+
+def _program(
+    config: ReproduceConfig,
+    group: str,
+    env: str,
+    demos: str,
+    algo: str,
+    settings: tuple[str, ...] = (),
+    varied: str = "",
+) -> Program:
+    runs = Path(config.out) / "runs" / group
+    values = WEIGHTS if varied else ()
+    fast = FAST * config.fast
+    seeds = tuple(range(config.seeds))
+    return Program(runs, env, demos, algo, seeds, (*settings, *fast), varied, values)
+
+
+def _curves(config: ReproduceConfig) -> list[Program]:
+    """Of an algorithm without demonstrations one line stands for both sets."""
+    pairs = [(demos, algo) for demos in config.demos for algo in config.algos]
+    own = [p for p in pairs if takes_demonstrations(p[1]) or p[0] == config.demos[0]]
+    return [_program(config, "main", env, *pair) for env in config.envs for pair in own]
+
+
+def _sensitivity(config: ReproduceConfig) -> list[Program]:
+    """Supplement, Fig. 2: one weight varies, the other one is 1."""
+    if "point2d" not in config.envs:
+        return []
+    kinds = (("w_rl", "w_bc=1"), ("w_bc", "w_rl=1"))
+    return [
+        _program(config, f"sensitivity_{varied}", "point2d", "optimal", algo, (fixed,), varied)
+        for algo in ("emrld", "emrld_ws")
+        for varied, fixed in kinds
+    ]
+
+
+def _ablation(config: ReproduceConfig) -> list[Program]:
+    """Supplement, Fig. 3: EMRLD whole, without demonstrations, without the policy gradient."""
+    if "point2d" not in config.envs:
+        return []
+    kinds = (("main", ()), ("without_w_bc", ("w_bc=0",)), ("without_w_rl", ("w_rl=0",)))
+    return [
+        _program(config, group, "point2d", demos, "emrld", settings)
+        for demos in config.demos
+        for group, settings in kinds
+    ]
+
+
+def _trajectories(config: ReproduceConfig) -> list[Program]:
+    """Supplement, Fig. 1, in simulation."""
+    if "two_wheeled_drift" not in config.envs:
+        return []
+    demos = config.demos[0]
+    return [
+        _program(config, "main", "two_wheeled_drift", demos, algo) for algo in config.algos
+    ]
+
+
+_MAKE: dict[str, Callable[[ReproduceConfig], list[Program]]] = {
+    "curves": _curves,
+    "sensitivity": _sensitivity,
+    "ablation": _ablation,
+    "trajectories": _trajectories,
+}
