@@ -33,6 +33,7 @@ class Evaluation(NamedTuple):
     divergences: Any  # [M, S, E], 1 where the simulation broke down
     obs: Any  # [M, S, P, T, O], of the first P episodes
     mask: Any  # [M, S, P, T]
+    rewards: Any  # [M, S, P, T]
 
 
 Evaluate = Callable[[Params, jax.Array, Task, Demos], Evaluation]  # (params, key, tasks, demos)
@@ -69,6 +70,7 @@ def evaluator(
             episode_divergences(rollouts),
             rollouts.obs[:kept],
             rollouts.mask[:kept],
+            rollouts.reward[:kept],
         )
 
     def of_task(params: Params, key: jax.Array, task: Task, demos: Demos) -> Evaluation:

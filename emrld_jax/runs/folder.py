@@ -26,6 +26,7 @@ class RunFolder:
         self.metrics = path / "metrics.jsonl"
         self.tensorboard = path / "tensorboard"
         self.checkpoints = path / "checkpoints"
+        self.episodes = path / "episodes"
         self.results = path / "results.json"
         self.evaluations = path / "evaluations"
 

@@ -14,6 +14,7 @@ from rich.table import Table
 from emrld_jax.demos import DemoSet
 from emrld_jax.runs.checkpoints import Progressed
 from emrld_jax.runs.config import TrainConfig
+from emrld_jax.runs.episodes import FINAL, can_keep, kept_episodes, write_episodes
 from emrld_jax.runs.evaluation import Evaluation, evaluator, summarize
 from emrld_jax.runs.files import write_json
 from emrld_jax.runs.folder import RunFolder
@@ -65,7 +66,7 @@ def _report(
     """Evaluates one run, draws, and writes results.json last."""
     config = setup.config
     results: dict[str, Any] = {}
-    panels = []
+    panels, kept = [], {}
     keys = jax.random.split(streams(run.key)[2], len(SPLITS))
     for split_key, (split, words) in zip(keys, SPLITS.items(), strict=True):
         demos: DemoSet = getattr(setup.demos, split)
@@ -77,9 +78,14 @@ def _report(
                 "demonstrations": _demonstrated(demos),
             }
             panels += before_and_after(words, demos, evaluation)
+            if can_keep(setup.env):
+                numbers = range(demos.demos.mask.shape[0])
+                kept[split] = kept_episodes(setup.env, demos, evaluation, numbers)
     title = f"{config.env.name}, {config.algo}, {setup.demos.quality} demonstrations"
     learning_curve(read_metrics(folder.metrics), title, folder.path / "learning_curve")
     draw_episodes(setup.env, panels, title, folder.path)
+    if kept:
+        write_episodes(folder.episodes / f"{FINAL}.npz", setup.env, kept, run.iteration)
     write_json(folder.results, results)
     return results
 

@@ -12,6 +12,7 @@ from rich.console import Console
 from emrld_jax.demos import DemoError, check_tasks
 from emrld_jax.runs.checkpoints import Checkpoints, Progressed
 from emrld_jax.runs.config import RESUMABLE, ConfigError, TrainConfig
+from emrld_jax.runs.episodes import drop_after
 from emrld_jax.runs.files import write_json
 from emrld_jax.runs.folder import RunFolder, new_run_folder, run_folders
 from emrld_jax.runs.iteration import initial
@@ -147,6 +148,7 @@ def _continue(
         if not folder.finished or common < iterations:
             with Checkpoints(folder.checkpoints) as checkpoints:
                 checkpoints.drop_after(common)
+            drop_after(folder, common)
             folder.results.unlink(missing_ok=True)
             save_config(plan.setup.config, folder.config)
             write_json(folder.provenance, {**record, "resumed": [*record["resumed"], now]})

@@ -13,6 +13,7 @@ from rich.console import Console
 
 from emrld_jax.runs import machines
 from emrld_jax.runs.config import ConfigError, TrainConfig
+from emrld_jax.runs.episodes import EpisodeKeeper
 from emrld_jax.runs.folder import RunFolder, resume_commands
 from emrld_jax.runs.iteration import DivergenceError, Standing, Together, initial
 from emrld_jax.runs.progress import ProgressView, figures, tell, tell_some
@@ -146,18 +147,22 @@ def _loop(
 ) -> Standing:
     """Iterates, and keeps the runs' files up to date; where they then stand is saved."""
     every = runs.setups[0].config.checkpoint_every
+    keeper = EpisodeKeeper(runs.setups, folders)
     with ExitStack() as stack:
         view = stack.enter_context(ProgressView(console, standing.iteration, runs.iterations))
         recordings = [
             stack.enter_context(Recording(folder, k, standing, every, console))
             for k, folder in enumerate(folders)
         ]
+        keeper.keep(standing)
         for step in _steps(runs, standing, stop):
             standing = step.standing
             records = [
                 recording.add(standing, own, step.seconds)
                 for recording, own in zip(recordings, step.metrics, strict=True)
             ]
+            if standing.iteration % every == 0:
+                keeper.keep(standing)
             view.show(standing.iteration, figures(records), step.seconds)
     return standing
 

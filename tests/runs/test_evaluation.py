@@ -121,7 +121,9 @@ def test_summary_means() -> None:
     returns = np.arange(12.0).reshape(2, 3, 2)
     empty = np.zeros((2, 3, 1, 1, 2))
     broken = returns == 4
-    summary = summarize(Evaluation(returns, returns > 5, broken, empty, empty[..., 0]), seed=0)
+    summary = summarize(
+        Evaluation(returns, returns > 5, broken, empty, empty[..., 0], empty[..., 0]), seed=0
+    )
     assert (summary["tasks"], summary["episodes"]) == (2, 2)
     assert [stage["return"] for stage in summary["stages"]] == [3.5, 5.5, 7.5]
     assert [stage["success"] for stage in summary["stages"]] == [0.5, 0.5, 0.5]
