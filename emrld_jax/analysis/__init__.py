@@ -1,0 +1,1 @@
+"""Comparison of runs: what is read, statistics, figures and the report page."""
