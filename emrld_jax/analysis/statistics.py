@@ -58,15 +58,15 @@ def aggregate(
 ) -> Estimate:
     """A statistic of all scores together, with its stratified bootstrap interval.
 
-    A column of more runs weighs more. Where each column has one run there is nothing to draw from,
-    and the interval is NaN.
+    A column of more runs weighs more. If a column has one run, its spread is not known, and the
+    interval is NaN.
 
     Raises:
         ValueError: a column has no score.
     """
     arrays = _arrays(columns)
     value = statistic(np.concatenate(arrays))
-    if max(map(len, arrays)) < 2:
+    if min(map(len, arrays)) < 2:
         return Estimate(value, np.full_like(value, np.nan), np.full_like(value, np.nan))
     generator = np.random.default_rng(seed)
     drawn = [column[_draws(generator, len(column), resamples)] for column in arrays]
@@ -100,12 +100,14 @@ def performance_profile(
     resamples: int = RESAMPLES,
     level: float = LEVEL,
 ) -> Estimate:
-    """The share of runs whose score is above each threshold, averaged over columns, [X]."""
+    """The share of runs whose score is above each threshold, averaged over columns, [X].
+
+    Intervals as `aggregate`'s.
+    """
     arrays, above = _arrays(columns), np.asarray(thresholds, float)
-    # how many of the scores each threshold is below, for all thresholds in one pass
     shares = [(column[:, None] > above).astype(float) for column in arrays]
     value = np.mean([share.mean(axis=0) for share in shares], axis=0)
-    if max(map(len, arrays)) < 2:
+    if min(map(len, arrays)) < 2:
         return Estimate(value, np.full_like(value, np.nan), np.full_like(value, np.nan))
     generator = np.random.default_rng(seed)
     drawn = [_counts(generator, len(share), resamples) @ share / len(share) for share in shares]
@@ -122,7 +124,7 @@ def probability_of_improvement(
     """How probably a run of the first has a higher score than one of the second; a tie is half.
 
     The share of pairs, averaged over columns, which are the same ones of both (Mann-Whitney's U,
-    divided by the number of pairs).
+    divided by the number of pairs). Intervals as `aggregate`'s.
 
     Raises:
         ValueError: the numbers of columns differ, or a column has no score.
@@ -132,7 +134,7 @@ def probability_of_improvement(
     pairs = list(zip(_arrays(first), _arrays(second), strict=True))
     wins = [(x[:, None] > y) + 0.5 * (x[:, None] == y) for x, y in pairs]  # [N, N'] each
     value = np.mean([own.mean() for own in wins])
-    if max(max(own.shape) for own in wins) < 2:
+    if min(min(own.shape) for own in wins) < 2:
         return Estimate(value, np.array(np.nan), np.array(np.nan))
     generator = np.random.default_rng(seed)
     drawn = []

@@ -34,7 +34,7 @@ def load_config(path: Path) -> TrainConfig:
             f"no {path.name}"
         )
     try:
-        values = _by_full_name(yaml.safe_load(path.read_text()))
+        values = by_full_name(yaml.safe_load(path.read_text()))
         _check_names(path, values)
         config = updated(TrainConfig(), values)
     except ConfigError:
@@ -60,18 +60,18 @@ def updated(config: Any, values: Mapping[str, Any]) -> Any:
     return replace(OmegaConf.to_object(node), **paths)  # type: ignore[type-var]
 
 
-def _by_full_name(tree: Any, prefix: str = "") -> dict[str, Any]:
+def by_full_name(tree: Any, prefix: str = "") -> dict[str, Any]:
     """Leaves of nested mappings, such as meta.max_kl; anything else has none."""
     flat: dict[str, Any] = {}
     for key, value in tree.items() if isinstance(tree, dict) else ():
-        inside = _by_full_name(value, f"{prefix}{key}.")
+        inside = by_full_name(value, f"{prefix}{key}.")
         flat.update(inside or {f"{prefix}{key}": value})
     return flat
 
 
 def _check_names(path: Path, values: Mapping[str, Any]) -> None:
     """Refuses a file that lacks a setting or has one too many: both would change the run."""
-    known = _by_full_name(asdict(TrainConfig()))
+    known = by_full_name(asdict(TrainConfig()))
     for problem, names_ in (
         ("lacks", [name for name in known if name not in values]),
         ("has unknown settings:", [name for name in values if name not in known]),

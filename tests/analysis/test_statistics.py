@@ -83,8 +83,9 @@ def test_a_seed_makes_intervals_repeatable() -> None:
 def test_of_one_run_there_is_no_interval() -> None:
     for found in (
         aggregate([[3.0]]),
-        performance_profile([[3.0], [1.0]], [2.0]),
-        probability_of_improvement([[3.0]], [[1.0]]),
+        aggregate([[3.0], [1.0, 2.0]]),
+        performance_profile([[3.0, 4.0], [1.0]], [2.0]),
+        probability_of_improvement([[3.0, 4.0]], [[1.0]]),
         pointwise(np.array([[1.0, 2.0]])),
     ):
         assert np.isfinite(found.value).all()
@@ -93,9 +94,9 @@ def test_of_one_run_there_is_no_interval() -> None:
 
 
 def test_columns_may_differ_in_length() -> None:
-    found = aggregate([[1.0], [3.0, 5.0, 7.0]])
-    assert found.value == 4.0  # (3 + 5) / 2
-    assert found.low < 4.0 < found.high
+    found = aggregate([[1.0, 1.0], [3.0, 5.0, 7.0, 9.0]])
+    assert found.value == 4.0  # one is left out at each end: (1 + 3 + 5 + 7) / 4
+    assert found.low < found.value < found.high
 
 
 def test_intervals_of_curves_are_those_of_their_points() -> None:
