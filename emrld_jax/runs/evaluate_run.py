@@ -10,20 +10,18 @@ from rich.console import Console
 from rich.table import Table
 
 from emrld_jax.demos import DemoSet
-from emrld_jax.runs.checkpoints import Checkpoints
 from emrld_jax.runs.config import ConfigError, EvaluateConfig
 from emrld_jax.runs.evaluation import Evaluation, evaluator, summarize
 from emrld_jax.runs.files import write_json
 from emrld_jax.runs.film import film, prepare_films
 from emrld_jax.runs.folder import RunFolder, new_folder
-from emrld_jax.runs.iteration import initial
 from emrld_jax.runs.pictures import adaptation_curve, draw_episodes, num_drawn
 from emrld_jax.runs.progress import tell
 from emrld_jax.runs.provenance import provenance, read_provenance, sha256
 from emrld_jax.runs.report import SPLITS, before_and_after, tell_of_breakdowns, with_interval
 from emrld_jax.runs.saved import load_config, save_config
 from emrld_jax.runs.setup import Setup, set_up
-from emrld_jax.types import Params
+from emrld_jax.runs.trained import newest
 
 STREAM = 0x6576616C  # tells the keys of evaluations from those of training with the same seed
 
@@ -44,7 +42,7 @@ def evaluate_run(config: EvaluateConfig, console: Console) -> int:
     _tell_of_other_demonstrations(setup, folder, console)
     if config.video:
         prepare_films(setup.env)
-    params, iteration = _newest(setup, folder, console)
+    params, iteration = newest(setup, folder, lambda text: tell(console, text))
     title = f"{trained.env.name}, {trained.algo}: {SPLITS[config.tasks]} tasks"
     title += ", mean action" * config.deterministic
     of_all = f"{iteration} of {trained.meta.iterations} meta-iterations"
@@ -116,17 +114,6 @@ def _tell_of_other_demonstrations(setup: Setup, folder: RunFolder, console: Cons
         return
     if sha256(setup.demos_path) != trained_on:
         tell(console, f"note: {setup.demos_path} is not the file that the run was trained on")
-
-
-def _newest(setup: Setup, folder: RunFolder, console: Console) -> tuple[Params, int]:
-    """The parameters of the run's newest checkpoint and the iterations they have had."""
-    if not folder.checkpoints.is_dir():  # orbax would make it
-        raise ConfigError(f"{folder.path} has no checkpoint yet")
-    with Checkpoints(folder.checkpoints, read_only=True) as checkpoints:
-        restored = checkpoints.restore(initial(setup), lambda text: tell(console, text))
-    if restored is None:
-        raise ConfigError(f"{folder.path} has no checkpoint yet")
-    return restored.state.params, restored.iteration
 
 
 def _other(tasks: str) -> str:
