@@ -36,11 +36,12 @@ def comment_on(lines: Sequence[str], first: int, last: int) -> str:
 
 def _trailing(line: str) -> str:
     """The comment at the end of a line; a # inside a text is none."""
-    try:
-        tokens = list(tokenize.generate_tokens(io.StringIO(line.strip()).readline))
-    except tokenize.TokenError:  # the line is a part of a longer statement
-        tokens = []
-    return "".join(token.string.lstrip("# ") for token in tokens if token.type == tokenize.COMMENT)
+    comment = ""
+    with suppress(tokenize.TokenError):  # the line is a part of a longer statement
+        for token in tokenize.generate_tokens(io.StringIO(line.strip()).readline):
+            if token.type == tokenize.COMMENT:
+                comment = token.string.lstrip("# ")
+    return comment
 
 
 def described(attr: Attribute) -> str:
@@ -62,7 +63,7 @@ class FieldComments(Extension):
         if cls.docstring is None or "Attributes:" in cls.docstring.value:
             return
         rows = [
-            f"    {name}: {described(attr) or '–'}"
+            f"    {name}: {described(attr) or '-'}"
             for name, attr in cls.attributes.items()
             if attr.annotation is not None and not name.startswith("_")
         ]

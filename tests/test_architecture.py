@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 
 ROOT = Path(__file__).resolve().parents[1]
-PACKAGES = ("envs_jax", "emrld_jax", "bridges", "benchmarks")
+PACKAGES = ("envs_jax", "emrld_jax", "bridges", "benchmarks", "examples", "docs")
 
 # What each unit may import of this project, besides itself. A module belongs to the longest name
 # here that it starts with; a module right in emrld_jax that is not named here is a command. No two
@@ -33,6 +33,8 @@ MAY_IMPORT: dict[str, set[str]] = {
     "bridges": BELOW_COMMANDS,
     "commands": {*BELOW_COMMANDS, "bridges"},
     "benchmarks": {*BELOW_COMMANDS, "bridges", "commands"},
+    "examples": BELOW_COMMANDS,
+    "docs": BELOW_COMMANDS,
     # The package itself, which may offer anything that is below runs.
     "emrld_jax": BELOW_RUNS,
 }
