@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
+import jax
 import pytest
 
 ROOT = Path(__file__).parents[1]
@@ -27,3 +28,12 @@ def test_the_example_of_the_environments(capsys: pytest.CaptureFixture[str]) -> 
     exec(example("docs/environments.md"), {})
     # full speed ahead for half a second; the goal is 2 m away
     assert capsys.readouterr().out.split() == ["[0.11", "0.", "0.", "]", "0.0", "0.0"]
+
+
+def test_the_example_of_parts_without_configuration() -> None:
+    names: dict = {}
+    exec(example("docs/guides/python.md"), names)
+    assert names["env"].horizon == 80
+    assert names["train"].demos.mask.shape[0] == 24  # TwoWheeled's training tasks
+    params = names["learner"].init(jax.random.key(0)).params
+    assert params["params"]["layer_0"]["kernel"].shape == (3, 100)

@@ -94,3 +94,14 @@ def test_all_that_pages_link_to_is_found() -> None:
 )
 def test_comments_of_fields(lines: list[str], first: int, last: int, comment: str) -> None:
     assert comment_on(lines, first, last) == comment
+
+
+def test_the_guides_show_examples_that_exist() -> None:
+    """A formatter of code in Markdown must not have touched the lines that include them."""
+    shown = {
+        name
+        for page in (ROOT / "docs").rglob("*.md")
+        for name in re.findall(r'^--8<-- "([^":]+)', page.read_text(), re.MULTILINE)
+    }
+
+    assert shown == {str(path.relative_to(ROOT)) for path in (ROOT / "examples").glob("*.py")}

@@ -37,7 +37,9 @@ def test_a_run_without_a_checkpoint_is_refused(whole_run: tuple[Path, str], tmp_
         load_trained(tmp_path)
 
 
-def test_the_example_adapts_a_run(whole_run: tuple[Path, str], capsys: pytest.CaptureFixture[str]) -> None:
+def test_the_example_adapts_a_run(
+    whole_run: tuple[Path, str], capsys: pytest.CaptureFixture[str]
+) -> None:
     adapt_trained_policy.main(str(whole_run[0]), iterations=0, direction=90.0)
 
     before, after, _ = capsys.readouterr().out.splitlines()
@@ -45,3 +47,16 @@ def test_the_example_adapts_a_run(whole_run: tuple[Path, str], capsys: pytest.Ca
     for line in (before, after):
         (value,) = map(float, re.findall(r"-?\d+\.\d", line))
         assert -61.0 < value < -19.0
+
+
+def test_the_example_of_the_documentation(
+    whole_run: tuple[Path, str], capsys: pytest.CaptureFixture[str]
+) -> None:
+    page = (Path(__file__).parents[2] / "docs" / "runs.md").read_text()
+    code = page.split("```python\n")[1].split("```")[0]
+    assert "runs/point2d/emrld-optimal/seed0" in code
+
+    exec(code.replace("runs/point2d/emrld-optimal/seed0", str(whole_run[0])), {})
+
+    x, y = map(float, re.findall(r"-?\d+\.\d*(?:e-?\d+)?", capsys.readouterr().out))
+    assert np.hypot(x, y) <= 0.1 + 1e-6  # m, the longest step there is
