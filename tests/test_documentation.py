@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+import re
 from pathlib import Path
 
 import jax
 import pytest
+
+from emrld_jax import algorithms
 
 ROOT = Path(__file__).parents[1]
 
@@ -37,3 +40,15 @@ def test_the_example_of_parts_without_configuration() -> None:
     assert names["train"].demos.mask.shape[0] == 24  # TwoWheeled's training tasks
     params = names["learner"].init(jax.random.key(0)).params
     assert params["params"]["layer_0"]["kernel"].shape == (3, 100)
+
+
+@pytest.mark.parametrize("page", ["docs/guides/algorithm.md", "docs/concepts.md"])
+def test_tables_of_algorithms_are_complete(page: str) -> None:
+    rows = [line for line in (ROOT / page).read_text().splitlines() if line.startswith("| `")]
+    named = {name for row in rows for name in re.findall(r"`(\w+)`", row.split("|")[1])}
+    assert set(algorithms.names()) <= named
+
+
+def test_every_algorithm_is_in_the_reference() -> None:
+    page = (ROOT / "docs/reference/algorithms.md").read_text().splitlines()
+    assert {f"::: emrld_jax.algorithms.{name}" for name in algorithms.names()} <= set(page)

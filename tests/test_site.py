@@ -96,7 +96,7 @@ def test_comments_of_fields(lines: list[str], first: int, last: int, comment: st
     assert comment_on(lines, first, last) == comment
 
 
-def test_the_guides_show_examples_that_exist() -> None:
+def test_the_guides_show_all_examples() -> None:
     """A formatter of code in Markdown must not have touched the lines that include them."""
     shown = {
         name
@@ -104,4 +104,4 @@ def test_the_guides_show_examples_that_exist() -> None:
         for name in re.findall(r'^--8<-- "([^":]+)', page.read_text(), re.MULTILINE)
     }
 
-    assert shown == {str(path.relative_to(ROOT)) for path in (ROOT / "examples").glob("*.py")}
+    assert {str(path.relative_to(ROOT)) for path in (ROOT / "examples").glob("*.py")} <= shown
