@@ -94,7 +94,8 @@ def _check_setting(
         raise ConfigError(f"{argument}: there is no setting {key!r}{hint} (--help lists all)")
     leaf = known[key]
     if "choices" in leaf.metadata:
-        _check_option(key, value, leaf.metadata["choices"])
+        for one in value if isinstance(value, list) else [value]:
+            _check_option(key, one, leaf.metadata["choices"])
     if key in PATHS and value == "":
         raise ConfigError(f"{argument} is not allowed: a path must not be empty")
     if key in PATHS and value is not None:

@@ -28,7 +28,7 @@ def provenance(demos: Path) -> dict[str, Any]:
     """A record of this process, as JSON values."""
     return {
         "time": datetime.now(UTC).isoformat(timespec="seconds"),
-        "command": _command(),
+        "command": typed_command(),
         **software(),
         "machine": machine(),
         "demos": {"path": str(demos), "sha256": sha256(demos)},
@@ -87,7 +87,7 @@ def code_version() -> dict[str, Any]:
     return {"commit": commit, "dirty": bool(_git(package, "status", "--porcelain", "--", *CODE))}
 
 
-def _command() -> str:
+def typed_command() -> str:
     """The command line that led to this process, as a shell takes it."""
     if typed := os.environ.get(TYPED):
         return typed

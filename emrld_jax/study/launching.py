@@ -15,7 +15,7 @@ from emrld_jax.study.running import POLL_S, Outcome, log_of
 
 def sweeps(programs: Sequence[Program], launcher: str) -> list[list[str]]:
     """Arguments of `emrld_jax.sweep` that train these programs, none of which has begun."""
-    columns: dict[tuple, dict[str, list[str]]] = {}  # algorithms by environment
+    columns: dict[Program, dict[str, list[str]]] = {}  # algorithms by environment
     for program in programs:
         same = program._replace(env="", algo="")
         columns.setdefault(same, {}).setdefault(program.env, []).append(program.algo)
@@ -27,8 +27,8 @@ def sweeps(programs: Sequence[Program], launcher: str) -> list[list[str]]:
     return made
 
 
-def _arguments(same: tuple, envs: Sequence[str], algos: Sequence[str]) -> list[str]:
-    program = Program(*same)._replace(env=",".join(envs), algo=",".join(algos))
+def _arguments(same: Program, envs: Sequence[str], algos: Sequence[str]) -> list[str]:
+    program = same._replace(env=",".join(envs), algo=",".join(algos))
     alone = program._replace(varied="", values=())
     values = ",".join(f"{x:g}" for x in program.values)
     varied = [f"{program.varied}={values}"] if program.varied else []

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import NamedTuple
 
@@ -17,6 +18,7 @@ from envs_jax import names
 FIGURES = ("curves", "sensitivity", "ablation", "trajectories")
 COMPARED = ("emrld", "emrld_ws", "maml", "meta_bc", "gmps")  # in the paper
 WEIGHTS = (0.2, 0.4, 0.6, 0.8, 1.0)
+MAIN = "main"  # the part of the runs that have no settings of their own
 FAST = (  # what makes a training short, and its results meaningless
     "meta.iterations=2",
     "adapt.num_episodes=2",
@@ -39,7 +41,7 @@ class ReproduceConfig:
     fast: bool = setting(False, "two meta-iterations each, to see whether all of it works")
     out: str = setting("reproduced", "folder of the runs, figures, tables and the report")
     envs: list[str] = setting([*names()], "environments of the curves", choices=names())
-    demos: list[str] = setting([*QUALITIES], "demonstrations", choices=QUALITIES)
+    qualities: list[str] = setting([*QUALITIES], "of the shipped demonstrations", choices=QUALITIES)
     algos: list[str] = setting(
         [*COMPARED], "algorithms of the curves and trajectories", choices=algorithms.names()
     )
@@ -90,41 +92,46 @@ def _program(
     algo: str,
     settings: tuple[str, ...] = (),
     varied: str = "",
+    values: tuple[float, ...] = (),
 ) -> Program:
     runs = Path(config.out) / "runs" / group
-    values = WEIGHTS if varied else ()
-    fast = FAST * config.fast
-    seeds = tuple(range(config.seeds))
-    return Program(runs, env, demos, algo, seeds, (*settings, *fast), varied, values)
+    own = (*settings, *FAST * config.fast)
+    return Program(runs, env, demos, algo, tuple(range(config.seeds)), own, varied, values)
 
 
 def _curves(config: ReproduceConfig) -> list[Program]:
     """Of an algorithm without demonstrations one line stands for both sets."""
-    pairs = [(demos, algo) for demos in config.demos for algo in config.algos]
-    own = [p for p in pairs if takes_demonstrations(p[1]) or p[0] == config.demos[0]]
-    return [_program(config, "main", env, *pair) for env in config.envs for pair in own]
+    pairs = [(demos, algo) for demos in config.qualities for algo in config.algos]
+    own = [p for p in pairs if takes_demonstrations(p[1]) or p[0] == config.qualities[0]]
+    return [_program(config, MAIN, env, *pair) for env in config.envs for pair in own]
 
 
 def _sensitivity(config: ReproduceConfig) -> list[Program]:
-    """Supplement, Fig. 2: one weight varies, the other one is 1."""
+    """Supplement, Fig. 2: one weight varies, the other one is 1.
+
+    The lines at w_rl = 0.2 are those of the curves, and w_rl = w_bc = 1 is in both panels.
+    """
     if "point2d" not in config.envs:
         return []
-    kinds = (("w_rl", "w_bc=1"), ("w_bc", "w_rl=1"))
-    return [
-        _program(config, f"sensitivity_{varied}", "point2d", "optimal", algo, (fixed,), varied)
-        for algo in ("emrld", "emrld_ws")
-        for varied, fixed in kinds
-    ]
+    made = []
+    for algo in ("emrld", "emrld_ws"):
+        own = partial(_program, config, env="point2d", demos="optimal", algo=algo)
+        made += [
+            own(MAIN),
+            own("sensitivity", settings=("w_bc=1",), varied="w_rl", values=WEIGHTS[1:]),
+            own("sensitivity", settings=("w_rl=1",), varied="w_bc", values=WEIGHTS[:-1]),
+        ]
+    return made
 
 
 def _ablation(config: ReproduceConfig) -> list[Program]:
     """Supplement, Fig. 3: EMRLD whole, without demonstrations, without the policy gradient."""
     if "point2d" not in config.envs:
         return []
-    kinds = (("main", ()), ("without_w_bc", ("w_bc=0",)), ("without_w_rl", ("w_rl=0",)))
+    kinds = ((MAIN, ()), ("without_w_bc", ("w_bc=0",)), ("without_w_rl", ("w_rl=0",)))
     return [
         _program(config, group, "point2d", demos, "emrld", settings)
-        for demos in config.demos
+        for demos in config.qualities
         for group, settings in kinds
     ]
 
@@ -133,10 +140,8 @@ def _trajectories(config: ReproduceConfig) -> list[Program]:
     """Supplement, Fig. 1, in simulation."""
     if "two_wheeled_drift" not in config.envs:
         return []
-    demos = config.demos[0]
-    return [
-        _program(config, "main", "two_wheeled_drift", demos, algo) for algo in config.algos
-    ]
+    demos = config.qualities[0]
+    return [_program(config, MAIN, "two_wheeled_drift", demos, algo) for algo in config.algos]
 
 
 _MAKE: dict[str, Callable[[ReproduceConfig], list[Program]]] = {

@@ -172,7 +172,7 @@ def objective_of(loss: OuterLoss, step: InnerStep) -> tuple[Objective, Any]:
     inner = rollouts(20) if step.on_policy else None
     experience = Experience((inner,), rollouts(50))
     size = DEMOS.mask.shape[1] * 2
-    sizes: Any = Experience((size,) if step.on_policy else (None,), size)  # type: ignore[arg-type]
+    sizes: Any = Experience((size,) if step.on_policy else (None,), size)
     wide = jax.tree.map(lambda x: x[:, None], experience)  # as one episode a task
     return meta.programs.objective(wide, DEMOS, sizes, None, 1), params
 

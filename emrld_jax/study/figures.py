@@ -1,0 +1,170 @@
+"""The paper's figures from finished runs, each as .png and .svg."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from matplotlib.patches import Circle
+
+from emrld_jax.analysis.curves import curve
+from emrld_jax.analysis.groups import Group
+from emrld_jax.runs.episodes import FINAL, read_episodes
+from emrld_jax.runs.panels import BEFORE, save
+from emrld_jax.study.plan import takes_demonstrations
+
+COLORS = {
+    "emrld": "#1f5fa8",
+    "emrld_ws": "#d1622b",
+    "maml": "#6b6b6b",
+    "meta_bc": "#3a8f4d",
+    "gmps": "#8a4fb0",
+    "promp": "#b08d00",
+    "emaml": "#c23b6e",
+    "reptile": "#208f94",
+}
+SHADES = ("#b6d0ee", "#83aede", "#518bcb", "#2a67ac", "#0d3f7a")  # of values that rise
+AXES = {"iterations": "meta-iterations", "env_steps": "environment steps", "seconds": "seconds"}
+DRIFT = -1  # the held-out task of the robot experiment is the last one: -0.65 rad a step
+
+
+class Line(NamedTuple):
+    """A group as it is drawn."""
+
+    group: Group
+    label: str
+    color: str
+
+
+def draw_curves(groups: Sequence[Group], against: str, path: Path) -> None:
+    """Return after adaptation: a row an environment, a column a set of demonstrations."""
+    envs = _in_order(group.environment for group in groups)
+    demos = _in_order(group.demonstrations for group in groups)
+    figure = Figure(figsize=(5.2 * len(demos), 3.2 * len(envs)), layout="constrained")
+    grid = figure.subplots(len(envs), len(demos), squeeze=False)
+    for row, env in zip(grid, envs, strict=True):
+        for axes, quality in zip(row, demos, strict=True):
+            own = [g for g in groups if g.environment == env and _belongs(g, quality)]
+            lines = [Line(g, g.label, COLORS[g.algorithm]) for g in by_algorithm(own)]
+            _panel(axes, lines, f"{env}, {quality} demonstrations", against)
+            _demonstrated(axes, [g for g in own if g.demonstrations == quality])
+    save(figure, path)
+
+
+def draw_lines(panels: Sequence[tuple[str, Sequence[Line]]], path: Path) -> None:
+    """Return after adaptation against meta-iterations, panels side by side."""
+    figure = Figure(figsize=(4.6 * len(panels), 3.4), layout="constrained")
+    grid = figure.subplots(1, len(panels), squeeze=False, sharey=True)
+    for axes, (title, lines) in zip(grid.flat, panels, strict=True):
+        _panel(axes, lines, title, "iterations")
+    save(figure, path)
+
+
+def draw_trajectories(groups: Sequence[Group], path: Path) -> None:
+    """Where adapted policies go under the drift of the robot experiment, a panel an algorithm."""
+    figure = Figure(figsize=(3.6 * len(groups), 3.6), layout="constrained")
+    grid = figure.subplots(1, len(groups), squeeze=False, sharex=True, sharey=True)
+    for axes, group in zip(grid.flat, groups, strict=True):
+        for run in group.runs:
+            about, kept = read_episodes(run.path / "episodes" / f"{FINAL}.npz")
+            task = {name: x[DRIFT] for name, x in kept["test"]._asdict().items()}
+            _trajectories(axes, task, float(about["zone"]))
+        seeds = len(group.runs)
+        axes.set(title=f"{group.label} ({seeds} seed{'s' * (seeds > 1)})", xlabel="x (m)")
+        axes.set(aspect="equal", xlim=(-0.6, 2.7), ylim=(-1.1, 2.2))
+        axes.grid(alpha=0.2)
+    grid.flat[0].set_ylabel("y (m)")
+    figure.suptitle("Drift -0.65 rad a step. Gray: before adaptation; dashed: the demonstration")
+    save(figure, path)
+
+
+def _trajectories(axes: Axes, task: dict[str, Any], zone: float) -> None:
+    x, y = (float(number) for number in task["aim"])
+    axes.add_patch(Circle((x, y), zone, color=BEFORE, alpha=0.12, linewidth=0))
+    axes.plot(x, y, marker="*", color="black", markersize=7, zorder=3)
+    axes.plot(*np.asarray(task["demo"], float).T, "k--", linewidth=1.0, zorder=2)
+    for stage, color in ((0, BEFORE), (-1, COLORS["emrld"])):
+        for episode in np.asarray(task["path"], float)[stage]:
+            axes.plot(*episode.T, color=color, linewidth=0.9, alpha=0.7)
+
+
+def _panel(axes: Axes, lines: Sequence[Line], title: str, against: str) -> None:
+    """Interquartile means with their intervals, and each seed's own curve, thin."""
+    for line in lines:
+        found = curve(line.group, against=against)
+        seeds = len(found.seeds)
+        axes.plot(found.x, found.each.T, color=line.color, linewidth=0.5, alpha=0.3)
+        axes.fill_between(found.x, found.low, found.high, color=line.color, alpha=0.18, linewidth=0)
+        axes.plot(
+            found.x, found.value, color=line.color, linewidth=1.8, label=f"{line.label} ({seeds})"
+        )
+    axes.set_title(title, fontsize=10)
+    axes.set(xlabel=AXES[against], ylabel="return after adaptation")
+    axes.grid(alpha=0.25)
+    if lines:
+        axes.legend(title="line (seeds)", fontsize=7, title_fontsize=7, frameon=False)
+
+
+def _demonstrated(axes: Axes, groups: Sequence[Group]) -> None:
+    """What the demonstrations return, as a dashed line."""
+    if groups:
+        shown = groups[0].runs[0].results["train"]["demonstrations"]["return"]
+        axes.axhline(shown, color="black", linestyle="--", linewidth=0.8)
+
+
+def _belongs(group: Group, quality: str) -> bool:
+    """Algorithms that take no demonstrations stand in every column."""
+    return group.demonstrations == quality or not takes_demonstrations(group.algorithm)
+
+
+def by_algorithm(groups: Sequence[Group]) -> list[Group]:
+    """In the order of COLORS."""
+    return sorted(groups, key=lambda group: list(COLORS).index(group.algorithm))
+
+
+def _in_order(names: Iterable[str]) -> list[str]:
+    return list(dict.fromkeys(names))
+
+
+def sensitivity_panels(groups: Sequence[Group]) -> list[tuple[str, list[Line]]]:
+    """Fig. 2: for each algorithm and each weight, a line a value; the other weight is 1."""
+    panels = []
+    for algo in ("emrld", "emrld_ws"):
+        for varied, fixed in (("w_rl", "w_bc"), ("w_bc", "w_rl")):
+            own = [g for g in groups if g.algorithm == algo and _setting(g, fixed) == 1]
+            own.sort(key=lambda group: _setting(group, varied))
+            lines = [
+                Line(g, f"{varied} {_setting(g, varied):g}", shade)
+                for g, shade in zip(own, SHADES, strict=True)
+            ]
+            panels.append((f"{algo}, {fixed} = 1", lines))
+    return panels
+
+
+def ablation_panels(groups: Sequence[Group]) -> list[tuple[str, list[Line]]]:
+    """Fig. 3: EMRLD whole, without demonstrations, without the policy gradient."""
+    kinds = (
+        ("both", COLORS["emrld"], lambda g: _setting(g, "w_rl") and _setting(g, "w_bc")),
+        ("w_bc = 0", COLORS["maml"], lambda g: not _setting(g, "w_bc")),
+        ("w_rl = 0", COLORS["meta_bc"], lambda g: not _setting(g, "w_rl")),
+    )
+    return [
+        (
+            f"{quality} demonstrations",
+            [
+                Line(group, label, color)
+                for label, color, belongs in kinds
+                for group in groups
+                if group.demonstrations == quality and belongs(group)
+            ],
+        )
+        for quality in _in_order(group.demonstrations for group in groups)
+    ]
+
+
+def _setting(group: Group, name: str) -> float:
+    return float(group.runs[0].settings[name])

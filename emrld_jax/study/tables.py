@@ -1,0 +1,78 @@
+"""What a study found, as CSV for machines and Markdown for people."""
+
+from __future__ import annotations
+
+import csv
+import io
+from collections.abc import Sequence
+
+from emrld_jax.analysis.comparisons import compare
+from emrld_jax.analysis.groups import Group
+from emrld_jax.analysis.loading import SPLITS
+from emrld_jax.analysis.scores import MEASURES, Cell, Row, headline
+
+WORDS = {"train": "training tasks", "test": "held-out tasks"}
+WHEN = ("before", "after")
+
+
+def results_csv(groups: Sequence[Group]) -> str:
+    """A line for each group, split, measure and stage: interquartile mean and interval."""
+    text = io.StringIO()
+    writer = csv.writer(text, lineterminator="\n")
+    heads = ("environment", "demonstrations", "algorithm", "seeds", "tasks", "measure", "when")
+    writer.writerow([*heads, "iqm", "low", "high", "demonstrated", "seconds", "env_steps"])
+    for row in headline(groups):
+        group = row.group
+        for (split, measure, when), cell in row.cells.items():
+            names = (group.environment, group.demonstrations, group.label)
+            estimate = [f"{float(x):.6g}" for x in cell.estimate]
+            shown = row.demonstrated.get(split, float("nan"))
+            costs = (f"{shown:.6g}", f"{row.seconds:.1f}", f"{row.env_steps:.0f}")
+            writer.writerow([*names, cell.seeds, WORDS[split], measure, when, *estimate, *costs])
+    return text.getvalue()
+
+
+def results_markdown(groups: Sequence[Group]) -> str:
+    """Return and success after adaptation, with 95 % intervals over seeds."""
+    heads = [f"{measure}, {WORDS[split]}" for split in SPLITS for measure in MEASURES]
+    columns = ["environment", "demonstrations (their return)", "algorithm", "seeds", *heads]
+    lines = [f"| {' | '.join([*columns, 'seconds'])} |", "|---" * (len(columns) + 1) + "|"]
+    lines += [_line(row) for row in headline(groups)]
+    return "\n".join(lines) + "\n"
+
+
+def _line(row: Row) -> str:
+    group = row.group
+    cells = [row.cells.get((split, measure, "after")) for split in SPLITS for measure in MEASURES]
+    forms = [".1f", ".0%"] * len(SPLITS)
+    demos = f"{group.demonstrations} ({row.demonstrated.get('train', float('nan')):.1f})"
+    figures = [_figure(cell, form) for cell, form in zip(cells, forms, strict=True)]
+    words = [group.environment, demos, group.label, str(len(group.seeds)), *figures]
+    return f"| {' | '.join([*words, f'{row.seconds:.0f}'])} |"
+
+
+def _figure(cell: Cell | None, form: str) -> str:
+    if cell is None:
+        return "--"
+    value, low, high = (format(float(x), form) for x in cell.estimate)
+    return value if cell.seeds < 2 else f"{value} [{low}, {high}]"
+
+
+def improvements_markdown(groups: Sequence[Group]) -> str:
+    """How probably each algorithm returns more than each other one, on each problem."""
+    lines = [
+        "| on | first | second | P(first > second), training | held-out |",
+        "|---|---|---|---|---|",
+    ]
+    found: dict[tuple[str, str, str], dict[str, str]] = {}
+    for split in SPLITS:
+        for comparison in compare(groups, split, "return"):
+            where = "; ".join(", ".join(problem) for problem in comparison.problems)
+            for first, second, probability in comparison.improvements:
+                value, low, high = (float(x) for x in probability)
+                words = f"{value:.2f} [{low:.2f}, {high:.2f}]"
+                found.setdefault((where, first, second), {})[split] = words
+    for (where, first, second), by_split in found.items():
+        own = " | ".join(by_split.get(split, "--") for split in SPLITS)
+        lines.append(f"| {where} | {first} | {second} | {own} |")
+    return "\n".join(lines) + "\n"
