@@ -139,7 +139,7 @@ def sensitivity_panels(groups: Sequence[Group]) -> list[tuple[str, list[Line]]]:
             own.sort(key=lambda group: _setting(group, varied))
             lines = [
                 Line(g, f"{varied} {_setting(g, varied):g}", shade)
-                for g, shade in zip(own, SHADES, strict=True)
+                for g, shade in zip(own, SHADES, strict=False)
             ]
             panels.append((f"{algo}, {fixed} = 1", lines))
     return panels
