@@ -15,7 +15,7 @@ PACKAGES = ("envs_jax", "emrld_jax", "bridges", "benchmarks", "examples", "docs"
 # here that it starts with; a module right in emrld_jax that is not named here is a command. No two
 # units may import each other (a test below), so that "downward" has a meaning.
 BASIS = {"emrld_jax.types", "emrld_jax.policy", "emrld_jax.settings"}
-PARTS = {*BASIS, "envs_jax", "emrld_jax.sampling", "emrld_jax.meta"}
+PARTS = {*BASIS, "envs_jax", "emrld_jax.sampling", "emrld_jax.theory", "emrld_jax.meta"}
 BELOW_RUNS = {*PARTS, "emrld_jax.demos", "emrld_jax.algorithms"}
 BELOW_COMMANDS = {*BELOW_RUNS, "emrld_jax", "emrld_jax.runs"}
 MAY_IMPORT: dict[str, set[str]] = {
@@ -24,7 +24,8 @@ MAY_IMPORT: dict[str, set[str]] = {
     "emrld_jax.policy": {"emrld_jax.types"},
     "emrld_jax.settings": {"emrld_jax.types", "emrld_jax.policy"},
     "emrld_jax.sampling": {*BASIS, "envs_jax"},
-    "emrld_jax.meta": {*BASIS, "emrld_jax.sampling"},
+    "emrld_jax.theory": set(),
+    "emrld_jax.meta": {*BASIS, "emrld_jax.sampling", "emrld_jax.theory"},
     # Above meta, because experts learn by its outer optimizers. Meta takes demonstrations as plain
     # arrays (emrld_jax.types), so it has no need of this package.
     "emrld_jax.demos": PARTS,
