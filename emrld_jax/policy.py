@@ -151,3 +151,17 @@ def kl_divergence(new: Gaussian, old: Gaussian) -> jax.Array:
     shift = (new.mean - old.mean) * jnp.exp(-old.log_std)
     per_dimension = log_ratio + 0.5 * (jnp.exp(-2 * log_ratio) + shift**2 - 1.0)
     return jnp.mean(per_dimension, axis=-1)
+
+
+def total_variation(p: Gaussian, q: Gaussian) -> jax.Array:
+    """D_TV(p, q) of the whole action, 0 to 1: [..]. An upper bound where deviations differ.
+
+    With one standard deviation each it is that of two normal distributions on the line through the
+    means, at their distance in standard deviations: erf(distance / (2 sqrt 2)). Deviations that
+    differ add what Pinsker's inequality allows, sqrt(KL / 2), after the means have moved.
+    """
+    distance = jnp.linalg.norm((q.mean - p.mean) * jnp.exp(-p.log_std), axis=-1)
+    change = p.log_std - q.log_std
+    kl = jnp.sum(0.5 * jnp.expm1(2 * change) - change, axis=-1)
+    moved = jax.scipy.special.erf(distance / (2 * 2**0.5))
+    return jnp.minimum(moved + jnp.sqrt(jnp.maximum(kl, 0.0) / 2), 1.0)

@@ -12,7 +12,7 @@ from emrld_jax.demos.format import (
     provenance,
     save,
 )
-from emrld_jax.demos.replay import replay
+from emrld_jax.demos.replay import replay, replayed
 from emrld_jax.demos.shipped import resolve
 
 __all__ = [
@@ -24,6 +24,7 @@ __all__ = [
     "load",
     "provenance",
     "replay",
+    "replayed",
     "resolve",
     "save",
 ]

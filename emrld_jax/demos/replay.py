@@ -3,12 +3,20 @@
 from __future__ import annotations
 
 from functools import partial
+from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
 
-from emrld_jax.types import Demos, Task
+from emrld_jax.types import Demos, Task, Trajectory
 from envs_jax import Env, State
+
+
+class Replay(NamedTuple):
+    """What the demonstrated actions did, [M, N, ..], and where each demonstration then was."""
+
+    steps: Trajectory  # mask 1 up to the demonstration's last step, an ending step or the horizon
+    last_obs: jax.Array  # [M, O], after the last step with mask 1
 
 
 def replay(env: Env, tasks: Task, demos: Demos) -> tuple[jax.Array, jax.Array]:
@@ -24,27 +32,31 @@ def replay(env: Env, tasks: Task, demos: Demos) -> tuple[jax.Array, jax.Array]:
     """
     if demos.obs.shape[0] == 0:
         return jnp.zeros(0), jnp.zeros(0, bool)
-    return _replay_all(env, tasks, demos)
+    steps = replayed(env, tasks, demos).steps
+    rewards, success = steps.mask * steps.reward, steps.mask * steps.success
+    return jnp.sum(rewards, axis=1), jnp.any(success > 0, axis=1)
 
 
 @partial(jax.jit, static_argnums=0)
-def _replay_all(env: Env, tasks: Task, demos: Demos) -> tuple[jax.Array, jax.Array]:
+def replayed(env: Env, tasks: Task, demos: Demos) -> Replay:
+    """The steps that `replay` sums, as the environment makes them; M is at least 1."""
     return jax.vmap(lambda task, demo: _replay_one(env, task, demo))(tasks, demos)
 
 
-def _replay_one(env: Env, task: Task, demo: Demos) -> tuple[jax.Array, jax.Array]:
+def _replay_one(env: Env, task: Task, demo: Demos) -> Replay:
     exists = demo.mask * (jnp.arange(demo.mask.shape[0]) < env.horizon)
 
     def step(
         carry: tuple[State, jax.Array], row: tuple[jax.Array, jax.Array]
-    ) -> tuple[tuple[State, jax.Array], tuple[jax.Array, jax.Array]]:
+    ) -> tuple[tuple[State, jax.Array], tuple[Trajectory, jax.Array]]:
         state, running = carry
         action, exists = row
-        state = env.step(state, action)
-        counts = running * exists
-        figures = (counts * state.reward, counts * state.metrics["success"])
-        return (state, running * (1.0 - state.done)), figures
+        following = env.step(state, action)
+        outcome = (following.metrics["success"], following.metrics["diverged"], running * exists)
+        record = Trajectory(state.obs, action, following.reward, following.done, *outcome)
+        return (following, running * (1.0 - following.done)), (record, following.obs)
 
     start = (env.reset_to(demo.obs[0], task), jnp.ones(()))
-    _, (rewards, success) = jax.lax.scan(step, start, (demo.action, exists))
-    return jnp.sum(rewards), jnp.any(success > 0)
+    _, (steps, following) = jax.lax.scan(step, start, (demo.action, exists))
+    last = jnp.maximum(jnp.sum(steps.mask).astype(int) - 1, 0)
+    return Replay(steps, following[last])

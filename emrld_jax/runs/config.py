@@ -122,6 +122,11 @@ class TrainConfig:
         at_least=1,
         at_most=10_000,
     )
+    diagnostics: bool = setting(
+        False,
+        "measure each iteration against Theorem 3.2 (docs/theory.md), on one device: each task "
+        "adapts and collects twice more; changes no result",
+    )
     runs: str = setting("runs", "folder that run folders are made in")
     resume: str | None = setting(
         None,

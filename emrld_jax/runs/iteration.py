@@ -15,6 +15,7 @@ from emrld_jax.meta.side_by_side import make_mesh, replicate, share_tasks, side_
 from emrld_jax.runs.checkpoints import Progressed
 from emrld_jax.runs.config import ConfigError
 from emrld_jax.runs.setup import Setup, learner_with
+from emrld_jax.runs.theorem import diagnosis
 from emrld_jax.runs.variants import differences
 
 
@@ -69,7 +70,7 @@ class Together:
             devices: that share the work.
 
         Raises:
-            ConfigError: the devices cannot share the work.
+            ConfigError: the devices cannot share the work, or not with `diagnostics`.
         """
         shared, part = setups[0], setups[0].demos.train
         tasks = part.demos.mask.shape[0]
@@ -82,6 +83,8 @@ class Together:
         self._tasks, self._demos = share_tasks((part.tasks, part.demos), mesh)
         self._episodes = tasks * shared.config.adapt.num_episodes
         self._programs = side_by_side(lambda own: learner_with(shared, own).programs, mesh)
+        wanted = shared.config.diagnostics
+        self._diagnosis = diagnosis(setups, values, devices) if wanted else None
 
     def begin(self, runs: Sequence[Progressed]) -> Standing:
         """Runs, each where it stands, put on the devices. They have done as many iterations."""
@@ -100,6 +103,9 @@ class Together:
         states, arrays = self._programs.update(*self._arguments(standing))
         metrics = _by_run(jax.device_get(arrays))
         _check_finite(i, metrics)
+        if self._diagnosis is not None:
+            found = self._diagnosis(standing.states.params, states.params, standing.keys, i)
+            metrics = [{**own, **more} for own, more in zip(metrics, found, strict=True)]
         before = zip(standing.env_steps, metrics, strict=True)
         env_steps = [steps + self._steps(own) for steps, own in before]
         return Standing(states, standing.keys, i + 1, env_steps), metrics

@@ -12,6 +12,7 @@ from rich.console import Console
 from rich.table import Table
 
 from emrld_jax.demos import DemoSet
+from emrld_jax.runs.bound_picture import theory
 from emrld_jax.runs.checkpoints import Progressed
 from emrld_jax.runs.config import TrainConfig
 from emrld_jax.runs.episodes import FINAL, can_keep, kept_episodes, write_episodes
@@ -82,7 +83,10 @@ def _report(
                 numbers = range(demos.demos.mask.shape[0])
                 kept[split] = kept_episodes(setup.env, demos, evaluation, numbers)
     title = f"{config.env.name}, {config.algo}, {setup.demos.quality} demonstrations"
-    learning_curve(read_metrics(folder.metrics), title, folder.path / "learning_curve")
+    records = read_metrics(folder.metrics)
+    learning_curve(records, title, folder.path / "learning_curve")
+    if config.diagnostics:
+        theory(records, title, folder.path / "theory")
     draw_episodes(setup.env, panels, title, folder.path)
     if kept:
         write_episodes(folder.episodes / f"{FINAL}.npz", setup.env, kept, run.iteration)

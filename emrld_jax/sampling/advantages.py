@@ -69,17 +69,28 @@ def normalize(x: jax.Array, mask: jax.Array) -> jax.Array:
     return centered / (jnp.sqrt(jnp.sum(centered**2) / count) + 1e-8)
 
 
-def advantages(trajectory: Trajectory, discount: float, gae_lambda: float) -> jax.Array:
-    """Normalized advantages of one task's episodes against the baseline fitted to them. [E, T].
+def baseline_weights(trajectory: Trajectory, discount: float) -> jax.Array:
+    """The baseline fitted to the discounted returns of one task's episodes. [E, T, ..] -> [F]."""
+    features = jax.vmap(baseline_features)(trajectory.obs)
+    returns = jax.vmap(lambda r: discounted_sum(r, discount))(trajectory.reward * trajectory.mask)
+    rows = features.reshape(-1, features.shape[-1])
+    return fit_baseline(rows, returns.reshape(-1), trajectory.mask.reshape(-1))
+
+
+def reward_advantages(
+    trajectory: Trajectory, weights: jax.Array, discount: float, gae_lambda: float
+) -> jax.Array:
+    """Advantages of one task's episodes against a baseline, in units of the reward. [E, T].
 
     The horizon ends an episode like any other end: nothing is expected after it, which the baseline
     knows from its time features.
     """
+    value = (jax.vmap(baseline_features)(trajectory.obs) @ weights) * trajectory.mask
     reward = trajectory.reward * trajectory.mask
-    features = jax.vmap(baseline_features)(trajectory.obs)
-    returns = jax.vmap(lambda r: discounted_sum(r, discount))(reward)
-    rows = features.reshape(-1, features.shape[-1])
-    weights = fit_baseline(rows, returns.reshape(-1), trajectory.mask.reshape(-1))
-    value = (features @ weights) * trajectory.mask
-    advantage = jax.vmap(lambda r, v: gae(r, v, discount, gae_lambda))(reward, value)
-    return normalize(advantage, trajectory.mask)
+    return jax.vmap(lambda r, v: gae(r, v, discount, gae_lambda))(reward, value)
+
+
+def advantages(trajectory: Trajectory, discount: float, gae_lambda: float) -> jax.Array:
+    """Normalized advantages of one task's episodes against the baseline fitted to them. [E, T]."""
+    weights = baseline_weights(trajectory, discount)
+    return normalize(reward_advantages(trajectory, weights, discount, gae_lambda), trajectory.mask)
