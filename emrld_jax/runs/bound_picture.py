@@ -18,7 +18,7 @@ COLORS = ("#2e8b57", "#c0561f", "#7a4fa3", "#b59a00")
 
 def theory(records: Sequence[Record], title: str, path: Path) -> None:
     """Draws the improvement beside the surrogate, and the bound beside what it is made of."""
-    figure = Figure(figsize=(11, 4), layout="constrained")
+    figure = Figure(figsize=(12, 4), layout="constrained")
     left, right = figure.subplots(1, 2)
     draw_improvement(left, records)
     draw_bound(right, records)
@@ -59,7 +59,7 @@ def draw_bound(axes: Axes, records: Sequence[Record]) -> None:
     axes.set_yscale("symlog", linthresh=1.0)
     axes.axhline(0, color=BEFORE, linewidth=0.7)
     axes.set(xlabel="meta-iteration", ylabel="discounted return (symmetric log)")
-    axes.legend(frameon=False, fontsize="small")
+    axes.legend(frameon=False, fontsize="small", loc="center left", bbox_to_anchor=(1.0, 0.5))
 
 
 def column(records: Sequence[Record], name: str) -> np.ndarray:
