@@ -115,7 +115,7 @@ def draw_studies(axes: Axes, studies: list[dict[str, Any]]) -> None:
     axes.plot([low, high], [low, high], color="red", linewidth=1.2, label="improvement = bound")
     axes.set(xlabel="bound / (C$_1$ steps)", ylabel="improvement / (C$_1$ steps)")
     axes.set_title("tabular problems, exact", fontsize="medium")
-    axes.set_ylim(-1.6, 1.1)  # the diagonal's lower part shows nothing
+    axes.set(xlim=(1.3 * low, None), ylim=(-1.5, 1.1))  # the diagonal's lower end shows nothing
     axes.legend(frameon=False, fontsize="small", loc="lower left")
 
 
