@@ -44,6 +44,18 @@ class Demos(NamedTuple):
     mask: jax.Array  # [N], 1 where the step exists
 
 
+class Played(NamedTuple):
+    """One task's demonstrated actions as the environment takes them, open loop."""
+
+    obs: jax.Array  # [N, O], before the action
+    action: jax.Array  # [N, A], policy units
+    reward: jax.Array  # [N], after the action
+    done: jax.Array  # [N], 1 where the environment ended the episode
+    success: jax.Array  # [N], 1 at a step that was a success
+    mask: jax.Array  # [N], 1 up to the demonstration's last step, an ending step or the horizon
+    last_obs: jax.Array  # [O], after the last step with mask 1
+
+
 class Gaussian(NamedTuple):
     """Independent normal distributions over action dimensions."""
 

@@ -21,15 +21,14 @@ from emrld_jax.sampling.advantages import (
     reward_advantages,
 )
 from emrld_jax.theory.bound import Terms
-from emrld_jax.types import Collect, Demos, Gaussian, Params, Task, Trajectory
+from emrld_jax.types import Collect, Demos, Gaussian, Params, Played, Task, Trajectory
 
 
 class Shown(NamedTuple):
     """One task's demonstration, and what it is worth in the environment."""
 
     demos: Demos  # what adaptation sees
-    steps: Trajectory  # [N, ..], played in the environment
-    last_obs: jax.Array  # [O], after its last step
+    played: Played
 
 
 class Estimation(NamedTuple):
@@ -107,20 +106,21 @@ def estimate(
     """
     weights = baseline_weights(before, how.discount)
     advantage = reward_advantages(before, weights, how.discount, how.gae_lambda) * before.mask
-    gains, tail = _demonstrated_gains(shown, weights, how)
+    gains, tail = _demonstrated_gains(shown.played, weights, how)
     first, second = (policy.apply(params, before.obs) for params in (old, new))
     size = before.action.shape[-1]  # log_prob is a mean over dimensions, the ratio of the action
     ratio = jnp.exp(size * (log_prob(second, before.action) - log_prob(first, before.action)))
-    own = policy.apply(new, shown.steps.obs)
-    demonstrator = Gaussian(shown.steps.action, own.log_std)
-    now, then, showing = (_weights(x.mask, how.discount) for x in (before, after, shown.steps))
+    played = shown.played
+    own = policy.apply(new, played.obs)
+    demonstrator = Gaussian(played.action, own.log_std)
+    now, then, showing = (_weights(x.mask, how.discount) for x in (before, after, played))
     old_return = _per_episode(now * before.reward)
     return Estimates(
         surrogate=_per_episode(now * (ratio - 1.0) * advantage),
         tv_old=_per_episode(now * total_variation(first, second)),
         tv_demonstrator=jnp.sum(showing * total_variation(own, demonstrator)),
-        least_gain=jnp.min(gains, where=shown.steps.mask > 0, initial=jnp.inf),
-        total_gain=jnp.sum(showing * shown.steps.reward) + tail - old_return,
+        least_gain=jnp.min(gains, where=played.mask > 0, initial=jnp.inf),
+        total_gain=jnp.sum(showing * played.reward) + tail - old_return,
         largest=jnp.maximum(jnp.max(jnp.abs(advantage)), jnp.max(jnp.abs(gains))),
         steps_old=_per_episode(now),
         steps_new=_per_episode(then),
@@ -144,20 +144,19 @@ def _per_episode(x: jax.Array) -> jax.Array:
 
 
 def _demonstrated_gains(
-    shown: Shown, weights: jax.Array, how: Estimation
+    played: Played, weights: jax.Array, how: Estimation
 ) -> tuple[jax.Array, jax.Array]:
     """What each demonstrated step gains on the old policy, by the baseline's values; and the tail.
 
     reward + discount * V(next) - V, [N], 0 outside the mask; and what the old policy would still
     earn where the demonstration stops before the episode does, discounted, [].
     """
-    steps = shown.steps
-    n = jnp.sum(steps.mask).astype(int)
-    obs = jnp.concatenate([steps.obs, shown.last_obs[None]]).at[n].set(shown.last_obs)
-    goes_on = (1.0 - jnp.sum(steps.mask * steps.done)) * (n < how.horizon)
-    exists = jnp.append(steps.mask, 0.0).at[n].set(goes_on)
+    n = jnp.sum(played.mask).astype(int)
+    obs = jnp.concatenate([played.obs, played.last_obs[None]]).at[n].set(played.last_obs)
+    goes_on = (1.0 - jnp.sum(played.mask * played.done)) * (n < how.horizon)
+    exists = jnp.append(played.mask, 0.0).at[n].set(goes_on)
     value = (baseline_features(obs) @ weights) * exists
-    gains = (steps.reward + how.discount * value[1:] - value[:-1]) * steps.mask
+    gains = (played.reward + how.discount * value[1:] - value[:-1]) * played.mask
     return gains, value[n] * how.discount**n
 
 

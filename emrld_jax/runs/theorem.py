@@ -10,7 +10,6 @@ import jax
 import numpy as np
 
 from emrld_jax.demos import replayed
-from emrld_jax.meta.batching import map_each
 from emrld_jax.meta.diagnostics import Estimation, Shown, diagnose
 from emrld_jax.meta.outer import Metrics
 from emrld_jax.runs.config import ConfigError
@@ -44,7 +43,7 @@ def diagnosis(
             "processes=1, or diagnostics=false (num_seeds and vmap may be given)"
         )
     shared, part = setups[0], setups[0].demos.train
-    shown = Shown(part.demos, *replayed(shared.env, part.tasks, part.demos))
+    shown = Shown(part.demos, replayed(shared.env, part.tasks, part.demos))
 
     @jax.jit
     def measured(
@@ -66,7 +65,8 @@ def diagnosis(
             )
             return diagnose(learner, collect, how, old, new, own, tasks, shown)
 
-        return map_each(one, values, old, new, keys)
+        # at once, also on a CPU: a simulator that is called steps all runs in one call
+        return jax.vmap(one)(values, old, new, keys)
 
     def diagnosed(
         old: Params, new: Params, keys: np.ndarray, iteration: int

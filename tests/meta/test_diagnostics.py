@@ -14,11 +14,11 @@ from emrld_jax.demos import replayed
 from emrld_jax.meta.diagnostics import Estimates, Estimation, Shown, diagnose, estimate
 from emrld_jax.meta.inner import InnerStep, enhanced_loss
 from emrld_jax.meta.learner import MetaLearner, meta_learner
-from emrld_jax.meta.outer import surrogate_objective
+from emrld_jax.meta.outer_losses import adapted_surrogate
 from emrld_jax.meta.trpo import trpo
 from emrld_jax.policy import Policy, gaussian_policy, total_variation
 from emrld_jax.sampling.rollouts import collector
-from emrld_jax.types import Demos, Gaussian, Params, Trajectory
+from emrld_jax.types import Demos, Gaussian, Params, Played, Trajectory
 from envs_jax import make
 from envs_jax.point2d import Point2D
 from tests.runs.straight import STEPS, straight_lines
@@ -74,7 +74,9 @@ def episodes(rng: np.random.Generator, lengths: tuple[int, ...]) -> Trajectory:
     obs, action = rng.normal(size=(2, *shape, 2))
     reward = rng.normal(size=shape) * mask
     done = mask * (np.arange(shape[1]) == np.array(lengths)[:, None] - 1)
-    return Trajectory(*map(jnp.asarray, (obs, action, reward, done, 0 * mask, 0 * mask, mask)))
+    none = np.zeros(shape)
+    arrays = (obs, action, reward, done, none, none, mask, none)
+    return Trajectory(*map(jnp.asarray, arrays))
 
 
 def shown_steps(rng: np.random.Generator, length: int, padded: int, ended: bool) -> Shown:
@@ -82,10 +84,9 @@ def shown_steps(rng: np.random.Generator, length: int, padded: int, ended: bool)
     obs, action = rng.normal(size=(2, padded, 2))
     reward = rng.normal(size=padded)
     done = (np.arange(padded) == length - 1) * float(ended)
-    arrays = map(jnp.asarray, (obs, action, reward, done, 0 * mask, 0 * mask, mask))
-    steps = Trajectory(*arrays)
-    demos = Demos(steps.obs, steps.action, steps.mask)
-    return Shown(demos, steps, jnp.asarray(rng.normal(size=2)))
+    arrays = (obs, action, reward, done, np.zeros(padded), mask, rng.normal(size=2))
+    played = Played(*map(jnp.asarray, arrays))
+    return Shown(Demos(played.obs, played.action, played.mask), played)
 
 
 def features(obs: np.ndarray, t: int) -> np.ndarray:
@@ -122,12 +123,12 @@ def written_out(
         a = before.action[e, t]
         ratio = math.exp(log_density(a, new) - log_density(a, old))
         surrogate += g**t * (ratio - 1) * gain[e, t] / number
-    n = int(shown.steps.mask.sum())
-    states = [*shown.steps.obs[:n], shown.last_obs]
+    n = int(shown.played.mask.sum())
+    states = [*shown.played.obs[:n], shown.played.last_obs]
     v: list[Any] = [features(state, t) @ w for t, state in enumerate(states)]
-    if shown.steps.done[n - 1] or n == HOW.horizon:
+    if shown.played.done[n - 1] or n == HOW.horizon:
         v[n] = 0.0
-    gains = [shown.steps.reward[t] + g * v[t + 1] - v[t] for t in range(n)]
+    gains = [shown.played.reward[t] + g * v[t + 1] - v[t] for t in range(n)]
 
     def total(x: Any, discount: float) -> float:
         return float(np.mean(np.sum(x.reward * x.mask * discount ** np.arange(HOW.horizon), 1)))
@@ -135,9 +136,9 @@ def written_out(
     return {
         "surrogate": surrogate,
         "tv_old": sum(g**t * distance(old, new) for _, t in living) / number,
-        "tv_demonstrator": sum(g**t * distance(new, shown.steps.action[t]) for t in range(n)),
+        "tv_demonstrator": sum(g**t * distance(new, shown.played.action[t]) for t in range(n)),
         "least_gain": min(gains),
-        "total_gain": sum(g**t * shown.steps.reward[t] for t in range(n))
+        "total_gain": sum(g**t * shown.played.reward[t] for t in range(n))
         + g**n * v[n]
         - total(before, g),
         "largest": max(map(abs, [*gain.values(), *gains])),
@@ -178,11 +179,11 @@ def line_learner(rate: float) -> tuple[MetaLearner, Any, Estimation, Any, Shown]
         policy,
         (step,),
         collect,
-        lambda policies, experience, demos: surrogate_objective(policies, experience.outer),
+        adapted_surrogate(),
         trpo(),
     )
     lines = straight_lines(env, env.train_tasks().goal[:3])
-    shown = Shown(lines.demos, *replayed(env, lines.tasks, lines.demos))
+    shown = Shown(lines.demos, replayed(env, lines.tasks, lines.demos))
     return learner, collect, Estimation(0.9, 1.0, 25), lines, shown
 
 
