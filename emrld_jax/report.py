@@ -70,8 +70,8 @@ def write(folders: Sequence[str], config: ReportConfig) -> int:
     for note in grouped.notes:
         tell(console, f"note: {note}")
     write_report(grouped, out, config.title or default_title(folders))
-    runs = sum(len(group.runs) for group in grouped.groups)
-    tell(console, f"{out}: {runs} runs in {len(grouped.groups)} lines")
+    runs, lines = sum(len(group.runs) for group in grouped.groups), len(grouped.groups)
+    tell(console, f"{out}: {runs} run{'s' * (runs > 1)} in {lines} line{'s' * (lines > 1)}")
     return 0
 
 

@@ -17,7 +17,7 @@ PACKAGES = ("envs_jax", "emrld_jax", "bridges", "benchmarks", "examples", "docs"
 BASIS = {"emrld_jax.types", "emrld_jax.policy", "emrld_jax.settings"}
 PARTS = {*BASIS, "envs_jax", "emrld_jax.sampling", "emrld_jax.theory", "emrld_jax.meta"}
 BELOW_RUNS = {*PARTS, "emrld_jax.demos", "emrld_jax.algorithms"}
-BELOW_COMMANDS = {*BELOW_RUNS, "emrld_jax", "emrld_jax.runs"}
+BELOW_COMMANDS = {*BELOW_RUNS, "emrld_jax", "emrld_jax.runs", "emrld_jax.analysis"}
 MAY_IMPORT: dict[str, set[str]] = {
     "envs_jax": set(),
     "emrld_jax.types": set(),
@@ -31,6 +31,7 @@ MAY_IMPORT: dict[str, set[str]] = {
     "emrld_jax.demos": PARTS,
     "emrld_jax.algorithms": PARTS,
     "emrld_jax.runs": {*BELOW_RUNS, "emrld_jax"},
+    "emrld_jax.analysis": {*BELOW_RUNS, "emrld_jax", "emrld_jax.runs"},
     "bridges": BELOW_COMMANDS,
     "commands": {*BELOW_COMMANDS, "bridges"},
     "benchmarks": {*BELOW_COMMANDS, "bridges", "commands"},
@@ -198,6 +199,8 @@ def test_the_files_are_found() -> None:
         ("emrld_jax.meta.new", "from emrld_jax.demos import expert", ["emrld_jax.demos.expert"]),
         ("emrld_jax.algorithms.new", "from emrld_jax.train import x", ["emrld_jax.train"]),
         ("emrld_jax.runs.new", "from emrld_jax import algorithms, policy", []),
+        ("emrld_jax.runs.new", "from emrld_jax.analysis import page", ["emrld_jax.analysis.page"]),
+        ("emrld_jax.analysis.new", "from emrld_jax.report import x", ["emrld_jax.report"]),
         ("emrld_jax.runs.new", "import benchmarks.speed, bridges", ["benchmarks.speed", "bridges"]),
         ("emrld_jax.train", "from emrld_jax.runs.cli import x\nimport numpy", []),
         ("bridges.new", "import emrld_jax.train", ["emrld_jax.train"]),

@@ -32,11 +32,14 @@ LINKED = (  # files of a run that the page links to, if they are there
 
 
 def write_report(grouped: Grouped, path: Path, title: str = "Runs compared") -> None:
-    """Writes the page; its links to the runs' files are relative to where it lies.
+    """Writes the page, in a folder that is made if need be.
+
+    Its links to the runs' files are relative to where it lies.
 
     Raises:
         OSError: it cannot be written.
     """
+    path.parent.mkdir(parents=True, exist_ok=True)
     write_text(path, page(report_data(grouped, path, title)))
 
 

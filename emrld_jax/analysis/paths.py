@@ -47,6 +47,8 @@ def _episodes(run: Run) -> dict[str, Any]:
     files = [read_episodes(folder / f"{numbers[k]}.npz") for k in chosen]
     final = read_episodes(folder / f"{FINAL}.npz") if (folder / f"{FINAL}.npz").is_file() else None
     every = [*files, *([final] if final else [])]
+    if files and final and final[0]["iteration"] > files[-1][0]["iteration"]:
+        files.append((final[0], {"train": _like(final[1]["train"], files[-1][1]["train"])}))
     if not every:
         return {}
     about = every[0][0]
@@ -62,10 +64,18 @@ def _episodes(run: Run) -> dict[str, Any]:
     }
 
 
+def _like(final: KeptEpisodes, kept: KeptEpisodes) -> KeptEpisodes:
+    """Of the final evaluation, the tasks and as many episodes as were kept before."""
+    rows, episodes = np.isin(final.task, kept.task), kept.path.shape[2]
+    aim, path, reward, demo = (leaf[rows] for leaf in final[1:])
+    return KeptEpisodes(final.task[rows], aim, path[:, :, :episodes], reward[:, :, :episodes], demo)
+
+
 def packed(kept: KeptEpisodes) -> dict[str, Any]:
     """The episodes of one split as JSON values."""
     scale = _scale(kept.path, kept.demo)
-    returns = np.nansum(kept.reward.astype(float), axis=-1)  # [M, 2, P]
+    reward = kept.reward.astype(float)
+    returns = np.where(np.isfinite(reward), reward, 0.0).sum(axis=-1)  # [M, 2, P]
     return {
         "scale": scale,
         "tasks": [int(number) for number in kept.task],
@@ -81,8 +91,8 @@ def packed(kept: KeptEpisodes) -> dict[str, Any]:
 
 def _scale(*arrays: np.ndarray) -> float:
     """How much one step of a packed number is."""
-    largest = max((float(np.nanmax(np.abs(a), initial=0.0)) for a in arrays if a.size), default=0.0)
-    return max(largest, 1e-6) / LARGEST if np.isfinite(largest) else 1e-3
+    finite = [np.abs(array[np.isfinite(array)].astype(float)) for array in arrays]
+    return max(1e-6, *(float(own.max(initial=0.0)) for own in finite)) / LARGEST
 
 
 def _pack(points: np.ndarray, scale: float) -> str:

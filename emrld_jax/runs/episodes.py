@@ -127,10 +127,16 @@ def kept_episodes(
     return KeptEpisodes(
         np.asarray(numbers, np.int32),
         _aims(env, demos.tasks),
-        _paths(env, obs, mask).astype(np.float16),
-        np.where(mask > 0, reward, np.nan).astype(np.float16),
-        _paths(env, np.asarray(shown.obs), np.asarray(shown.mask))[..., :-1, :].astype(np.float16),
+        _rounded(_paths(env, obs, mask, is_planar(env))),
+        _rounded(np.where(mask > 0, reward, np.nan)),
+        _rounded(_paths(env, np.asarray(shown.obs), np.asarray(shown.mask), False)[..., :-1, :]),
     )
+
+
+def _rounded(values: np.ndarray) -> np.ndarray:
+    """Three digits, enough for a picture; what diverged so far is infinite."""
+    with np.errstate(over="ignore", invalid="ignore"):
+        return values.astype(np.float16)
 
 
 def _aims(env: Any, tasks: Any) -> np.ndarray:
@@ -139,22 +145,21 @@ def _aims(env: Any, tasks: Any) -> np.ndarray:
     return np.asarray(tasks.direction, np.float32)[:, None]
 
 
-def _paths(env: Any, obs: np.ndarray, mask: np.ndarray) -> np.ndarray:
-    """Where episodes were at each step and where the last one led. [.., T, O] -> [.., T + 1, 2].
+def _paths(env: Any, obs: np.ndarray, mask: np.ndarray, goes_on: bool) -> np.ndarray:
+    """Where episodes were at each step. [.., T, O] -> [.., T + 1, 2].
 
-    A rollout goes on after an episode's end, so the next row is where its last action led; of one
-    that lasts to the horizon that is not known.
+    If what is observed goes on after an episode's end, as in a rollout but not in a demonstration,
+    the next row is where its last action led.
     """
     steps = obs.shape[-2]
     points = np.full((*obs.shape[:-2], steps + 1, 2), np.nan)
     if is_planar(env):
         points[..., :-1, :] = obs[..., :2]
-        last = mask.sum(axis=-1)
     else:
         x = obs[..., env.observation_names.index("torso_x")]
         points[..., :-1, 0] = env.dt * np.arange(steps)
         points[..., :-1, 1] = x - x[..., :1]
-        last = mask.sum(axis=-1) - 1
+    last = mask.sum(axis=-1) - (not goes_on)
     points[np.arange(steps + 1) > last[..., None]] = np.nan
     return points
 

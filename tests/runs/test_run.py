@@ -18,6 +18,7 @@ import orbax.checkpoint as ocp
 import pytest
 import yaml
 
+from emrld_jax.runs.episodes import read_episodes
 from emrld_jax.runs.metrics import read_metrics
 from emrld_jax.runs.saved import load_config
 from tests.conftest import Command
@@ -45,11 +46,16 @@ def last_state(folder: Path) -> list[np.ndarray]:
 
 
 def assert_same_run(folder: Path, whole: Path) -> None:
-    """Metrics, state and results are equal, bit for bit."""
+    """Metrics, state, results and kept episodes are equal, bit for bit."""
     assert without_times(folder) == without_times(whole)
     for ours, theirs in zip(last_state(folder), last_state(whole), strict=True):
         np.testing.assert_array_equal(ours, theirs)
     assert (folder / "results.json").read_text() == (whole / "results.json").read_text()
+    names = {path.name for path in (whole / "episodes").iterdir()}
+    assert {path.name for path in (folder / "episodes").glob("*.npz")} == names
+    for name in names:
+        ours, theirs = (read_episodes(run / "episodes" / name)[1] for run in (folder, whole))
+        jax.tree.map(np.testing.assert_array_equal, ours, theirs)
 
 
 @pytest.fixture
@@ -84,6 +90,7 @@ def test_a_run_writes_all_its_files(whole_run: WholeRun) -> None:
         "metrics.jsonl",
         "results.json",
         "checkpoints/3",
+        *(f"episodes/{name}.npz" for name in (0, 1, 2, 3, "final")),
         "learning_curve.png",
         "learning_curve.svg",
         "trajectories.png",

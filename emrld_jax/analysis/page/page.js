@@ -86,7 +86,7 @@ function adaptationSection() {
       grid.append(figure);
       const most = Math.max(...lines.map((line) => line.x.length)) - 1;
       figure.append(lineChart(lines, { xWords: "adaptation steps", form: formOf(state.measure),
-        points: true, height: 240, xs: [-0.15, most + 0.15],
+        points: true, whole: true, height: 240, xs: [-0.15, most + 0.15],
         axisForm: state.measure === "success" ? percent : short,
         ys: state.measure === "success" ? [-0.03, 1.03] : null }));
     }
@@ -169,7 +169,8 @@ function settingsSection() {
   const place = el("div", {}, settingsTable(true));
   const count = DATA.settings.filter((row) => row.differs).length;
   section("settings", "Settings", `${count} of ${DATA.settings.length} settings are not the same `
-    + "in all lines; they are highlighted.", el("div", { class: "controls" },
+    + "in all lines; values other than the most frequent one are "
+    + "highlighted.", el("div", { class: "controls" },
     tick("all-settings", "show those that are the same too", false,
       (all) => place.replaceChildren(settingsTable(!all)))), place);
 }
@@ -203,7 +204,8 @@ adaptationSection();
 comparisonSection();
 settingsSection();
 section("runs", "Runs", "What was run, where and with what; a plus after a commit: files differed "
-  + "from it.", runTable());
+  + "from it. Links are relative to this page.", runTable(),
+  el("h3", { style: "margin-top: 1.2rem" }, "How they were run"), howRun());
 notesSection();
 document.getElementById("nav").append(...SECTIONS.map(([id, title]) =>
   el("a", { href: `#${id}` }, title)));

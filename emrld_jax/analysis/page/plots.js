@@ -39,7 +39,7 @@ function bandOf(line, x, y) {
   return `M${there.map((k) => point(k, "high")).join("L")}L`
     + `${there.reverse().map((k) => point(k, "low")).join("L")}Z`;
 }
-function frame(width, height, xs, ys, xWords, form) {
+function frame(width, height, xs, ys, xWords, form, whole) {
   const left = 46, right = 12, top = 10, bottom = 40;
   const x = scale(...xs, left, width - right), y = scale(...ys, height - bottom, top);
   const node = svg("svg", { width, height, viewBox: `0 0 ${width} ${height}`, role: "img" });
@@ -49,6 +49,7 @@ function frame(width, height, xs, ys, xWords, form) {
       form(value)));
   }
   for (const value of ticks(...xs, Math.max(2, Math.floor(width / 110)))) {
+    if (whole && !Number.isInteger(value)) continue;
     node.append(svg("text", { x: x(value), y: height - bottom + 17, "text-anchor": "middle" },
       short(value)));
   }
@@ -59,12 +60,14 @@ function frame(width, height, xs, ys, xWords, form) {
 }
 
 // lines: {label, name, color, seeds, x, value, low, high, each}; options: xWords, form, axisForm,
-// ys, reference {value, name}, each (draw every seed), points (mark the values)
+// ys, reference {value, name}, each (draw every seed), points (mark the values), whole (x are
+// whole numbers)
 function lineChart(lines, options) {
   const place = el("div", {}), legend = el("div", { class: "legend" });
   const readings = [];
   const where = el("span", { class: "value quiet" });
-  const read = (at) => {
+  const read = (pointed) => {
+    const at = options.whole ? Math.round(pointed) : pointed;
     for (const [line, cell] of readings) {
       let k = 0;
       line.x.forEach((own, j) => { if (Math.abs(own - at) < Math.abs(line.x[k] - at)) k = j; });
@@ -93,7 +96,7 @@ function lineChart(lines, options) {
       ...line.high, ...(options.each ? line.each.flat() : [])]),
       options.reference ? options.reference.value : null, 0], 0.04);
     const chart = frame(width, options.height || 280, xs, ys, options.xWords,
-      options.axisForm || short);
+      options.axisForm || short, options.whole);
     const { node, x, y } = chart;
     if (options.reference) {
       const at = y(options.reference.value);
@@ -146,7 +149,7 @@ function lineChart(lines, options) {
 function intervalChart(rows, xs, options) {
   const place = el("div", {});
   draw(place, (width) => {
-    const pitch = 46, height = rows.length * pitch + 34, x = scale(...xs, 10, width - 10);
+    const pitch = 46, height = rows.length * pitch + 34, x = scale(...xs, 18, width - 18);
     const node = svg("svg", { width, height, viewBox: `0 0 ${width} ${height}`, role: "img" });
     for (const value of ticks(...xs, 4)) {
       node.append(svg("line", { class: "rule", x1: x(value), x2: x(value), y1: 4,
@@ -159,7 +162,7 @@ function intervalChart(rows, xs, options) {
     }
     rows.forEach((row, k) => {
       const top = k * pitch + 18, at = top + 16;
-      node.append(svg("text", { x: 10, y: top, style: "fill: var(--ink)" }, row.label,
+      node.append(svg("text", { x: 8, y: top, style: "fill: var(--ink)" }, row.label,
         svg("tspan", { dx: 8, style: "fill: var(--quiet)" },
           `${withInterval(row, options.form)}  ${row.note}`)));
       if (row.low !== null) {

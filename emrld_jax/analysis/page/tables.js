@@ -4,7 +4,7 @@ function table(id, columns, rows, options = {}) {
   const heads = columns.map((column, k) => {
     const sort = column.of ? el("button", { type: "button", onclick: () => order(k) },
       column.name) : column.name;
-    return el("th", { class: column.number ? "number" : null, scope: "col" }, sort);
+    return el("th", { class: classOf(column), scope: "col" }, sort);
   });
   const lines = rows.map((row) => {
     const cells = columns.map((column) => {
@@ -12,10 +12,9 @@ function table(id, columns, rows, options = {}) {
       return value !== null && typeof value === "object" ? value : { text: value, sort: value };
     });
     const node = el("tr", {}, cells.map((cell, k) => el("td", {
-      class: [columns[k].number ? "number" : "", columns[k].class || ""].join(" ").trim() || null,
+      class: classOf(columns[k], cell.class),
       color: cell.color || "inherit",
     }, cell.node || cell.text)));
-    if (options.line) options.line(node, row);
     return { node, cells };
   });
   let current = null, down = false;
@@ -33,6 +32,9 @@ function table(id, columns, rows, options = {}) {
   body.append(...lines.map((line) => line.node));
   return el("div", { class: "box" }, el("table", { id, class: options.class || null },
     el("thead", {}, el("tr", {}, heads)), body));
+}
+function classOf(column, more) {
+  return [column.number ? "number" : "", column.class, more].filter(Boolean).join(" ") || null;
 }
 function compare(a, b, down) {
   const none = (value) => value === null || value === undefined;
@@ -66,13 +68,18 @@ function resultTable() {
   });
   return table("results", [
     { name: "algorithm", class: "name",
-      of: (group) => ({ text: group.label, sort: group.label, color: colorOf(group.label) }) },
-    { name: "environment", of: (group) => group.environment },
-    { name: "demonstrations", of: (group) => group.demonstrations },
+      of: (group) => ({ node: el("span", {}, group.label, el("span", { class: "sub" },
+        problemOf(group))), sort: group.label, color: colorOf(group.label) }) },
+    { name: "environment", class: "problem", of: (group) => group.environment },
+    { name: "demonstrations", class: "problem", of: (group) => group.demonstrations },
     { name: "seeds", number: true, of: (group) => group.seeds.length },
-    { name: "held-out return", of: (group) => ({ node: bar(group, highest[problemOf(group)]),
-      sort: (group.cells["test/return/after"] || {}).value }) },
-    figure("test", "return", "after"), figure("test", "success", "after"),
+    figure("test", "return", "after"),
+    { name: "beside the demonstrations", of: (group) => {
+      const end = highest[problemOf(group)];
+      const cell = group.cells["test/return/after"] || group.cells["train/return/after"];
+      return { node: bar(group, cell, end), sort: cell ? cell.value / end : null };
+    } },
+    figure("test", "success", "after"),
     figure("train", "return", "after"), figure("train", "success", "after"),
     figure("test", "return", "before"),
     { name: "demonstrations' return", number: true, of: (group) => {
@@ -87,11 +94,10 @@ function resultTable() {
       of: (group) => ({ text: duration(group.seconds), sort: group.seconds }) },
   ], DATA.groups, { class: "pinned" });
 }
-function bar(group, highest) {
-  const cell = group.cells["test/return/after"] || group.cells["train/return/after"];
+function bar(group, cell, highest) {
   const width = 150, x = scale(0, highest, 6, width - 6);
   const clip = (value) => Math.min(width - 4, Math.max(4, x(value)));
-  const node = svg("svg", { width, height: 20, color: colorOf(group.label), "aria-hidden": "true" },
+  const node = svg("svg", { class: "bar", width, height: 20, color: colorOf(group.label), "aria-hidden": "true" },
     svg("line", { class: "rule", x1: x(0), x2: x(highest), y1: 10, y2: 10 }));
   const shown = group.demonstrated.test || group.demonstrated.train;
   if (shown) node.append(svg("line", { class: "reference", x1: clip(shown), x2: clip(shown), y1: 2,
@@ -107,10 +113,19 @@ function settingsTable(onlyDiffering) {
   if (!rows.length) return el("p", { class: "quiet" }, "All lines have the same settings.");
   const columns = DATA.groups.map((group, k) => ({
     name: `${group.environment}, ${group.demonstrations}: ${group.label}`,
-    of: (row) => row.values[k] === null ? "(not a setting then)" : row.values[k],
+    of: (row) => {
+      const text = row.values[k] === null ? "(not a setting then)" : row.values[k];
+      return { text, sort: text, class: row.values[k] === usual(row) ? "" : "unlike" };
+    },
   }));
   return table("setting-values", [{ name: "setting", of: (row) => row.name }, ...columns], rows,
-    { class: "pinned", line: (node, row) => node.classList.toggle("differs", row.differs) });
+    { class: "pinned" });
+}
+function usual(row) {  // the value that most lines have, the first of those
+  const counts = new Map();
+  for (const value of row.values) counts.set(value, (counts.get(value) || 0) + 1);
+  const most = Math.max(...counts.values());
+  return row.values.find((value) => counts.get(value) === most);
 }
 
 function runTable() {
@@ -123,16 +138,25 @@ function runTable() {
     { name: "seed", number: true, of: (run) => run.seed },
     { name: "commit", of: (run) => ({ node: el("code", {}, run.commits.join(", ")),
       sort: run.commits.join() }) },
-    { name: "began", of: (run) => run.time.slice(0, 16).replace("T", " ") },
+    { name: "began", class: "whole", of: (run) => run.time.slice(0, 16).replace("T", " ") },
     { name: "resumed", number: true, of: (run) => run.resumed },
     { name: "training took", number: true,
       of: (run) => ({ text: duration(run.seconds), sort: run.seconds }) },
-    { name: "files", class: "wide", of: (run) => ({ sort: run.path, node: el("span", {},
-      el("code", {}, run.path), " ", run.files.flatMap((file) => [
+    { name: "folder", class: "whole", of: (run) => ({ node: el("code", {}, run.path),
+      sort: run.path }) },
+    { name: "files", class: "whole", of: (run) => ({ sort: run.files.length,
+      node: el("span", {}, run.files.flatMap((file) => [
         el("a", { href: file.link }, file.name), " "])) }) },
-    { name: "command", class: "wide", of: (run) => ({ node: el("code", {}, run.command),
-      sort: run.command }) },
-    { name: "machine", class: "wide", of: (run) => run.machine },
-    { name: "versions", class: "wide", of: (run) => run.versions },
   ], DATA.runs, { class: "pinned" });
+}
+function howRun() {
+  const each = (words, values) => [el("dt", {}, words),
+    [...new Set(values)].map((value) => el("dd", {}, el("code", {}, value)))];
+  return el("div", { class: "how" }, DATA.groups.map((group, k) => {
+    const runs = DATA.runs.filter((run) => run.group === k);
+    return el("details", {}, el("summary", {}, `${problemOf(group)}: ${group.label}`),
+      el("dl", {}, each("commands", runs.map((run) => run.command)),
+        each("commits", group.commits), each("machines", runs.map((run) => run.machine)),
+        each("versions", runs.map((run) => run.versions))));
+  }));
 }

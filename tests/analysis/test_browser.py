@@ -1,0 +1,204 @@
+"""The report in a real browser: what is drawn, moved, sorted and chosen, and no error."""
+
+from __future__ import annotations
+
+import shutil
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from emrld_jax.analysis.groups import group_runs
+from emrld_jax.analysis.loading import load_runs
+from emrld_jax.analysis.page import write_report
+from tests.analysis.conftest import write_run
+
+CHROMIUM, DRIVER = (shutil.which(name) for name in ("chromium", "chromedriver"))
+FLAGS = (
+    *("--headless", "--no-sandbox", "--disable-gpu", "--disable-quic", "--no-first-run"),
+    *("--disable-background-networking", "--disable-component-update", "--disable-sync"),
+)
+SIZES = {"desktop": (1280, 900), "phone": (390, 844)}
+
+pytestmark = pytest.mark.skipif(
+    not (CHROMIUM and DRIVER),
+    reason="no Chromium with its driver here (Debian: apt-get install chromium chromium-driver)",
+)
+
+
+@pytest.fixture(scope="module")
+def report(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A report of three algorithms on two environments."""
+    folder = tmp_path_factory.mktemp("report")
+    for environment in ("point2d", "two_wheeled"):
+        for algo, value in (("emrld", 70.0), ("emrld_ws", 90.0), ("maml", 20.0)):
+            for seed in (0, 1):
+                write_run(
+                    folder / "runs" / environment / algo / f"seed{seed}",
+                    environment=environment,
+                    algo=algo,
+                    seed=seed,
+                    value=value + 5 * seed,
+                    seconds=1.5 + seed,
+                    episodes=True,
+                )
+    write_run(folder / "runs" / "cut", seed=5)
+    (folder / "runs" / "cut" / "results.json").unlink()
+    write_report(group_runs(load_runs([folder / "runs"])), folder / "report.html")
+    return folder / "report.html"
+
+
+@pytest.fixture(scope="module")
+def chromium(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Any]:
+    """The browser, for all tests; it downloads nothing and keeps nothing."""
+    from selenium import webdriver
+    from selenium.webdriver.chrome.service import Service
+
+    options = webdriver.ChromeOptions()
+    options.binary_location = str(CHROMIUM)
+    for flag in (*FLAGS, f"--user-data-dir={tmp_path_factory.mktemp('browser')}"):
+        options.add_argument(flag)
+    options.set_capability("goog:loggingPrefs", {"browser": "ALL"})
+    driver = webdriver.Chrome(options=options, service=Service(str(DRIVER)))
+    yield driver
+    driver.quit()
+
+
+@pytest.fixture(params=SIZES)
+def page(request: pytest.FixtureRequest, chromium: Any, report: Path) -> Iterator[Any]:
+    """The report, opened; at the end the console must hold no word."""
+    width, height = SIZES[request.param]
+    chromium.execute_cdp_cmd(
+        "Emulation.setDeviceMetricsOverride",
+        {"width": width, "height": height, "deviceScaleFactor": 1, "mobile": width < 600},
+    )
+    chromium.get(report.as_uri())
+    yield chromium
+    assert chromium.get_log("browser") == []
+    inner, whole = chromium.execute_script(
+        "return [window.innerWidth, document.documentElement.scrollWidth]"
+    )
+    assert inner == width
+    assert whole <= width  # nothing but the tables scrolls sideways
+
+
+def find(page: Any, selector: str) -> Any:
+    return page.find_element("css selector", selector)
+
+
+def text(page: Any, selector: str) -> str:
+    return str(page.execute_script(f"return document.querySelector('{selector}').textContent"))
+
+
+def press(page: Any, selector: str) -> None:
+    """A click, as by a user: what is covered or not there cannot be clicked."""
+    node = find(page, selector)
+    page.execute_script("arguments[0].scrollIntoView({block: 'center', inline: 'center'})", node)
+    node.click()
+
+
+def drawn(page: Any, place: str) -> list[str]:
+    """All lines that are drawn at a place."""
+    script = f"return [...document.querySelectorAll('{place} path')].map(p => p.getAttribute('d'))"
+    return list(page.execute_script(script))
+
+
+def column(page: Any, table: str, number: int) -> list[str]:
+    script = (
+        f"return [...document.querySelectorAll('#{table} tbody tr')]"
+        f".map(row => row.cells[{number}].textContent)"
+    )
+    return list(page.execute_script(script))
+
+
+def test_what_is_told_at_the_start(page: Any) -> None:
+    assert "12 runs in 6 lines" in text(page, "#summary")
+    assert "cut: interrupted or still training" in text(page, "#skipped")
+    assert "fewer than 4 seeds" in text(page, "#remarks")
+    assert "emrld (2 seeds)" in text(page, "#curve-grid .legend")
+    assert len(drawn(page, "#curve-grid .figure")) > 6
+    for link in page.find_elements("css selector", "#run-list a"):
+        assert Path(link.get_property("href").removeprefix("file://")).is_file()
+
+
+def test_the_slider_moves_through_the_iterations(page: Any) -> None:
+    from selenium.webdriver.common.keys import Keys
+
+    slider, pictures = find(page, "#moment"), "#moment-paths .figure:last-child"
+    page.execute_script("arguments[0].scrollIntoView({block: 'center'})", slider)
+    assert text(page, "#moment-words") == "meta-iteration 4"
+    last = drawn(page, pictures)
+    slider.send_keys(Keys.ARROW_LEFT)
+    assert text(page, "#moment-words") == "meta-iteration 2"
+    middle = drawn(page, pictures)
+    slider.send_keys(Keys.HOME)
+    assert text(page, "#moment-words") == "before training"
+    first = drawn(page, pictures)
+    assert len({tuple(moment) for moment in (first, middle, last)}) == 3
+    before = "#moment-paths .figure:first-child"
+    assert drawn(page, before)  # demonstrations at least
+    assert "reward found in 0 of 2 tasks" in text(page, before)
+    slider.send_keys(Keys.END)
+    assert drawn(page, pictures) == last
+    assert "reward found in 2 of 2 tasks" in text(page, pictures)
+
+
+def test_the_paths_of_another_run_and_split(page: Any) -> None:
+    final = drawn(page, "#final-paths")
+    assert final
+    assert "held-out tasks" in text(page, "#final-paths")
+    press(page, "#final-split button[data-value=train]")
+    assert "training tasks" in text(page, "#final-paths")
+    # goals are the same points in both environments here, but the reward zones are not
+    zone = "return document.querySelector('#moment-paths circle.zone').getAttribute('r')"
+    small = float(page.execute_script(zone))
+    press(page, "#drawn-run option:last-child")
+    assert float(page.execute_script(zone)) > 1.5 * small
+
+
+def test_tables_sort(page: Any) -> None:
+    heading = "#results th:nth-child(5)"
+    returns = [cell.split(" ")[0] for cell in column(page, "results", 4)]
+    assert sorted(returns) == ["12.5", "12.5", "62.5", "62.5", "82.5", "82.5"]
+    press(page, f"{heading} button")
+    down = [float(cell.split(" ")[0]) for cell in column(page, "results", 4)]
+    assert down == [82.5, 82.5, 62.5, 62.5, 12.5, 12.5]
+    assert find(page, heading).get_attribute("aria-sort") == "descending"
+    press(page, f"{heading} button")
+    assert [float(cell.split(" ")[0]) for cell in column(page, "results", 4)] == down[::-1]
+    press(page, "#results th:first-child button")
+    names = page.execute_script(
+        "return [...document.querySelectorAll('#results tbody tr')]"
+        ".map(row => row.cells[0].querySelector('span').firstChild.textContent)"
+    )
+    assert names == ["emrld", "emrld", "emrld_ws", "emrld_ws", "maml", "maml"]
+
+
+def test_curves_against_other_axes(page: Any) -> None:
+    seen = {"meta-iterations": drawn(page, "#curve-grid")}
+    for axis, words in (("env_steps", "environment steps"), ("seconds", "seconds")):
+        press(page, f"#axis button[data-value={axis}]")
+        assert words in text(page, "#curve-grid svg")
+        assert (
+            find(page, f"#axis button[data-value={axis}]").get_attribute("aria-pressed") == "true"
+        )
+        seen[words] = drawn(page, "#curve-grid")
+    assert seen["seconds"] != seen["environment steps"]
+    press(page, "#measure button[data-value=success]")
+    assert "100%" in text(page, "#curve-grid svg")
+    with_seeds = len(drawn(page, "#curve-grid"))
+    press(page, "#each")
+    assert len(drawn(page, "#curve-grid")) == with_seeds - 12  # six lines of two seeds
+
+
+def test_settings_and_comparison(page: Any) -> None:
+    assert column(page, "setting-values", 0) == ["algo", "env.name"]
+    assert page.find_elements("css selector", "#setting-values td.unlike")
+    press(page, "#all-settings")
+    assert "policy.hidden_sizes" in column(page, "setting-values", 0)
+    comparison = text(page, "#comparison")
+    assert "emrld > maml" in comparison
+    assert "point2d, optimal + two_wheeled, optimal" in comparison
+    press(page, "#problem option:last-child")
+    assert "(2 seeds)" in text(page, "#comparison")
