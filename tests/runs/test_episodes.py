@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
+import jax.numpy as jnp
 import numpy as np
 import pytest
 
@@ -23,7 +24,7 @@ from emrld_jax.types import Demos
 from envs_jax import make
 from envs_jax.goals import GoalTask
 
-GOAL = np.array([[0.0, 2.0]], np.float32)
+GOAL = jnp.array([[0.0, 2.0]])
 
 
 def evaluation(obs: np.ndarray, mask: np.ndarray) -> Evaluation:
@@ -39,8 +40,8 @@ def planar() -> tuple[DemoSet, Evaluation]:
     obs[..., 1] = speed * np.arange(4.0)
     mask = np.ones((1, 3, 1, 4))
     mask[:, 2, :, 2:] = 0.0  # the last stage's episode ends with its second step
-    demo = np.array([[[0.0, 0.0], [0.0, 1.5], [0.0, 0.0]]])  # the third step is padding
-    demos = Demos(demo, np.zeros((1, 3, 2)), np.array([[1.0, 1.0, 0.0]]))
+    demo = jnp.array([[[0.0, 0.0], [0.0, 1.5], [0.0, 0.0]]])  # the third step is padding
+    demos = Demos(demo, jnp.zeros((1, 3, 2)), jnp.array([[1.0, 1.0, 0.0]]))
     return DemoSet(demos, GoalTask(GOAL), np.zeros(1), np.zeros(1)), evaluation(obs, mask)
 
 
@@ -61,7 +62,7 @@ def test_what_is_kept_of_a_runner() -> None:
     place = env.observation_names.index("torso_x")
     obs = np.zeros((1, 3, 1, 4, len(env.observation_names)))
     obs[..., place] = 0.25 + np.arange(4.0)
-    demos = Demos(obs[0, 0], np.zeros((1, 4, 6)), np.ones((1, 4)))
+    demos = Demos(jnp.asarray(obs[0, 0]), jnp.zeros((1, 4, 6)), jnp.ones((1, 4)))
     direction = type(env.train_tasks())(np.array([-1.0]))
     demo_set = DemoSet(demos, direction, np.zeros(1), np.zeros(1))
     kept = kept_episodes(env, demo_set, evaluation(obs, np.ones((1, 3, 1, 4))), [0])

@@ -54,8 +54,8 @@ def assert_same_run(folder: Path, whole: Path) -> None:
     names = {path.name for path in (whole / "episodes").iterdir()}
     assert {path.name for path in (folder / "episodes").glob("*.npz")} == names
     for name in names:
-        ours, theirs = (read_episodes(run / "episodes" / name)[1] for run in (folder, whole))
-        jax.tree.map(np.testing.assert_array_equal, ours, theirs)
+        kept, expected = (read_episodes(run / "episodes" / name)[1] for run in (folder, whole))
+        jax.tree.map(np.testing.assert_array_equal, kept, expected)
 
 
 @pytest.fixture
