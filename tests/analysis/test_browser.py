@@ -151,6 +151,7 @@ def test_the_paths_of_another_run_and_split(page: Any) -> None:
     press(page, "#final-split button[data-value=train]")
     assert "training tasks" in text(page, "#final-paths")
     # goals are the same points in both environments here, but the reward zones are not
+    assert "0.2 m from the goal" in text(page, "#path-words")
     zone = "return document.querySelector('#moment-paths circle.zone').getAttribute('r')"
     small = float(page.execute_script(zone))
     press(page, "#drawn-run option:last-child")

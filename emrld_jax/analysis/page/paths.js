@@ -133,8 +133,8 @@ function pathPanel(run, kept, stage, view, words) {
 }
 
 function pathsSection() {
-  const about = "Dashed: demonstrations. Colored: episodes, one color a task; where they are "
-    + "thick, the policy was rewarded. Shaded: where reward can be found.";
+  const about = "Dashed: demonstrations. Colored: episodes of tasks; where they are thick, the "
+    + "policy was rewarded. Shaded: where reward can be found.";
   if (!DATA.drawn.length) {
     section("paths", "Trajectories", "", el("p", { class: "quiet" }, "These runs kept no episodes: "
       + "runs of earlier versions did not, and some environments cannot be drawn."));
@@ -151,7 +151,8 @@ function pathsSection() {
   const showEnd = () => {
     const kept = run.final[split];
     ends.replaceChildren(...(kept ? [0, 1].map((stage) => pathPanel(run, kept, stage, viewed(),
-      `${SPLIT_WORDS[split]}, ${stage ? "after" : "before"} adaptation`)) : []));
+      `${SPLIT_WORDS[split]}, ${stage ? "after" : "before"} adaptation`))
+      : [el("p", { class: "quiet" }, "This run kept none.")]));
     for (const place of ends.querySelectorAll("div.figure > div")) redraw(place);
   };
   const show = () => {
@@ -189,6 +190,9 @@ function pathsSection() {
     if (there.length && !there.includes(split)) split = there[0];
     splits.replaceChildren(there.length ? choices("final-split", "of", there.map((name) =>
       [name, SPLIT_WORDS[name]]), split, (value) => { split = value; showEnd(); }) : "");
+    document.getElementById("path-words").textContent = run.kind === "runner"
+      ? `Blue should run forward, orange backward; reward beyond ${run.zone} m from the start.`
+      : `The reward zone reaches ${run.zone} m from the goal.`;
     showEnd();
   };
   const options = DATA.drawn.map((own, k) => {
@@ -198,6 +202,7 @@ function pathsSection() {
   section("paths", "Trajectories", `${about} Of each line, at most ${DATA.runsDrawn} seeds can be `
     + "chosen.", el("div", { class: "controls" }, list("drawn-run", "run", options,
       (value) => { run = DATA.drawn[Number(value)]; show(); })),
+    el("p", { class: "quiet small", id: "path-words" }),
     el("h3", {}, "As training went on"), moments,
     el("h3", { style: "margin-top: 1.4rem" }, "In the final evaluation"),
     el("div", { class: "controls" }, splits), ends);
