@@ -13,6 +13,7 @@ from typing import NamedTuple
 import numpy as np
 
 RESAMPLES = 2000  # of a bootstrap
+PIECE = 16  # points of a curve that are resampled at a time: all would need much memory
 LEVEL = 0.95  # probability that an interval should hold the true value
 
 Column = np.ndarray | Sequence[float]  # [N], the scores of N runs
@@ -88,9 +89,9 @@ def pointwise(
     if len(curves) < 2:
         return Estimate(value, np.full_like(value, np.nan), np.full_like(value, np.nan))
     index = _draws(np.random.default_rng(seed), len(curves), resamples)
-    bounds = [_bounds(statistic(column[index]), level) for column in curves.T]
-    low, high = np.array(bounds).T.reshape(2, -1)
-    return Estimate(value, low, high)
+    pieces = np.array_split(curves, -(-curves.shape[1] // PIECE), axis=1)
+    drawn = np.concatenate([statistic(piece.T[:, index]) for piece in pieces])  # [X, R]
+    return Estimate(value, *_bounds(drawn.T, level))
 
 
 def performance_profile(

@@ -20,6 +20,7 @@ from emrld_jax.report import main
 from emrld_jax.runs.config import ConfigError
 from tests.analysis.conftest import MakeRun, kept_episodes
 from tests.conftest import Command
+from tests.test_documentation import example
 
 EVIL = "</script><script>alert(1)</script><img src=x onerror=alert(2)>"
 
@@ -146,3 +147,17 @@ def test_what_is_wrong_with_a_command_is_said(
     monkeypatch.setattr("sys.argv", ["report", *given])
     with pytest.raises(ConfigError, match=re.escape(said)):
         main()
+
+
+def test_the_example_of_the_documentation(
+    make_run: MakeRun,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    for seed in (0, 1):
+        make_run(f"runs/{seed}", seed=seed, value=30.0 + 20 * seed)
+    monkeypatch.chdir(tmp_path)
+    exec(example("docs/comparing.md"), {})
+    assert "emrld Estimate(value=np.float64(30.0)" in capsys.readouterr().out  # of held-out tasks
+    assert (tmp_path / "report.html").is_file()
