@@ -19,6 +19,7 @@ FLAGS = (
     *("--headless", "--no-sandbox", "--disable-gpu", "--disable-quic", "--no-first-run"),
     *("--disable-background-networking", "--disable-component-update", "--disable-sync"),
 )
+LONG = f"{'a_very_long_name_' * 5}.npz"
 SIZES = {"desktop": (1280, 900), "phone": (390, 844)}
 
 pytestmark = pytest.mark.skipif(
@@ -29,7 +30,7 @@ pytestmark = pytest.mark.skipif(
 
 @pytest.fixture(scope="module")
 def report(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A report of three algorithms on two environments."""
+    """A report of three algorithms on two environments, one with a long name of demonstrations."""
     folder = tmp_path_factory.mktemp("report")
     for environment in ("point2d", "two_wheeled"):
         for algo, value in (("emrld", 70.0), ("emrld_ws", 90.0), ("maml", 20.0)):
@@ -42,6 +43,7 @@ def report(tmp_path_factory: pytest.TempPathFactory) -> Path:
                     value=value + 5 * seed,
                     seconds=1.5 + seed,
                     episodes=True,
+                    **({"demos": LONG} if environment == "two_wheeled" else {}),
                 )
     write_run(folder / "runs" / "cut", seed=5)
     (folder / "runs" / "cut" / "results.json").unlink()
@@ -200,6 +202,6 @@ def test_settings_and_comparison(page: Any) -> None:
     assert "policy.hidden_sizes" in column(page, "setting-values", 0)
     comparison = text(page, "#comparison")
     assert "emrld > maml" in comparison
-    assert "point2d, optimal + two_wheeled, optimal" in comparison
+    assert f"point2d, optimal + two_wheeled, {LONG[:-4]}" in comparison
     press(page, "#problem option:last-child")
     assert "(2 seeds)" in text(page, "#comparison")

@@ -110,7 +110,8 @@ function comparisonSection() {
   const place = el("div", {}), which = el("span", {});
   const found = () => DATA.comparisons.filter((own) => own.split === state.split
     && own.measure === state.measure);
-  const nameOf = (own) => own.problems.join(" + ");
+  const nameOf = (own) => own.problems.length > 2 ? `all ${own.problems.length} that are shared`
+    : own.problems.join(" + ");
   const fits = (own) => own.competitors.length > 0;
   const show = () => {
     const all = found().filter(fits), own = all.find((each) => nameOf(each) === state.problem)
@@ -121,9 +122,13 @@ function comparisonSection() {
       (value) => { state.problem = value; show(); });
     select.querySelector("select").value = nameOf(own);
     which.replaceChildren(select);
-    const seeds = (each) => `(${each.seeds.map(seedsText).join(" + ")})`;
+    if (own.problems.length > 2) {
+      place.append(el("p", { class: "quiet small" }, `Over ${own.problems.join("; ")}.`));
+    }
+    const seeds = (each) => new Set(each.seeds).size > 1 || each.seeds.length === 1
+      ? each.seeds.map(seedsText).join(" + ") : `${each.seeds.length} x ${seedsText(each.seeds[0])}`;
     const rows = own.competitors.map((each) => ({ ...each.score, label: each.label,
-      color: colorOf(each.label), note: seeds(each) }));
+      color: colorOf(each.label), note: `(${seeds(each)})` }));
     const counts = Object.fromEntries(own.competitors.map((each) => [each.label, each.seeds
       .reduce((sum, count) => sum + count, 0)]));
     const grid = el("div", { class: "grid" });
@@ -143,7 +148,7 @@ function comparisonSection() {
         0, 1], 0.03), { form }));
     add("Performance profile", "Share of runs whose score is above tau.", () => lineChart(
       own.competitors.map((each) => ({ label: each.label, color: colorOf(each.label),
-        seeds: each.seeds.map(seedsText).join(" + "), x: DATA.thresholds, ...each.profile,
+        seeds: seeds(each), x: DATA.thresholds, ...each.profile,
         each: [] })), { xWords: "tau", form: percent, axisForm: percent, ys: [-0.03, 1.03],
         height: 250 }));
     if (own.improvements.length) {
