@@ -38,14 +38,15 @@ from envs_jax.physics.models import MissingPackageError
 __all__ = ["evaluate_config", "parse", "run_command", "train_config", "updated"]
 
 CONF = Path(__file__).parents[1] / "conf"
+TUNED = "tuned"  # a group that the environment and the algorithm choose from
 
 # what memory grows with
 SIZES = ("num_seeds", "vmap", "adapt.num_episodes", "env.horizon", "policy.hidden_sizes")
 
 
 def groups() -> dict[str, tuple[str, ...]]:
-    """The configuration groups and what each offers."""
-    folders = sorted(path for path in CONF.iterdir() if path.is_dir())
+    """The configuration groups that can be chosen, and what each offers."""
+    folders = sorted(path for path in CONF.iterdir() if path.is_dir() and path.name != TUNED)
     return {f.name: tuple(sorted(path.stem for path in f.glob("*.yaml"))) for f in folders}
 
 

@@ -1,0 +1,226 @@
+"""What a study trains, what is left of it to do, and how it is carried out."""
+
+from __future__ import annotations
+
+import os
+import signal
+import sys
+import threading
+import time
+from pathlib import Path
+from typing import Any
+
+import pytest
+from rich.console import Console
+
+from emrld_jax.runs.config import ConfigError, TrainConfig
+from emrld_jax.runs.overrides import parse
+from emrld_jax.runs.saved import load_config, save_config
+from emrld_jax.runs.setup import set_up
+from emrld_jax.study import running
+from emrld_jax.study.checking import check_runs
+from emrld_jax.study.launching import sweeps
+from emrld_jax.study.plan import ReproduceConfig, programs, studies
+from emrld_jax.study.programs import Program
+from emrld_jax.study.running import run_all
+from emrld_jax.study.watching import Watch
+from tests.analysis.conftest import write_run
+
+
+def program(runs: Path, **changed: Any) -> Program:
+    own = Program(runs, "point2d", "optimal", "emrld", (0, 1, 2))
+    return own._replace(**changed)
+
+
+def begin(folder: Path, *, finished: bool = False) -> None:
+    folder.mkdir(parents=True)
+    (folder / "config.yaml").touch()
+    if finished:
+        (folder / "results.json").touch()
+
+
+def arguments(command: list[str]) -> set[str]:
+    """Of a command line of `emrld_jax.train`."""
+    assert command[:3] == [sys.executable, "-m", "emrld_jax.train"]
+    return set(command[3:])
+
+
+def test_new_seeds_are_trained_together_and_begun_ones_go_on(tmp_path: Path) -> None:
+    own = program(tmp_path, seeds=(0, 1, 2, 3, 4, 5))
+    place = tmp_path / "point2d" / "emrld-optimal"
+    begin(place / "seed0", finished=True)
+    begin(place / "seed2")
+    begin(place / "seed3")
+    resumed, first, rest = map(arguments, own.commands())
+    assert resumed == {f"resume={place / 'seed2'}{os.pathsep}{place / 'seed3'}"}
+    assert {"seed=1", "env=point2d", "demos=optimal", "algo=emrld"} <= first
+    assert not any(text.startswith("num_seeds") for text in first)
+    assert {"seed=4", "num_seeds=2"} <= rest
+    assert not own.finished
+
+
+def test_nothing_is_left_of_a_finished_program(tmp_path: Path) -> None:
+    own = program(tmp_path, varied="w_rl", values=(0.2, 1.0))
+    for value in ("w_rl=0.2", "w_rl=1"):
+        for seed in range(3):
+            begin(tmp_path / "point2d" / "emrld-optimal" / value / f"seed{seed}", finished=True)
+    assert own.finished
+    assert own.commands() == []
+
+
+def test_values_are_trained_side_by_side(tmp_path: Path) -> None:
+    own = program(tmp_path, varied="w_bc", values=(0.2, 0.4), settings=("w_rl=1",))
+    (command,) = own.commands()
+    assert {"vmap.w_bc=[0.2,0.4]", "w_rl=1", "seed=0", "num_seeds=3"} <= arguments(command)
+    assert len(own.folders) == 6
+
+
+def test_the_curves_are_all_algorithms_on_all_environments() -> None:
+    """MAML takes no demonstrations, so one line stands for both sets."""
+    (study,) = studies(ReproduceConfig())
+    assert len(study.programs) == 4 * (2 * 5 - 1)
+    assert len(set(study.programs)) == len(study.programs)
+    maml = [p for p in study.programs if p.algo == "maml"]
+    assert [p.demos for p in maml] == ["optimal"] * 4
+    assert all(p.seeds == (0, 1, 2, 3, 4) for p in study.programs)
+
+
+def test_all_figures_share_what_they_share() -> None:
+    """Of 36, 6, 6 and 5 programs the later ones have 2, 2 and all 5 from the first."""
+    planned = studies(ReproduceConfig(figure="all"))
+    assert [len(study.programs) for study in planned] == [36, 6, 6, 5]
+    assert len(programs(planned)) == 36 + 4 + 4
+
+
+def test_the_sensitivity_has_five_values_of_each_weight(tmp_path: Path) -> None:
+    (study,) = studies(ReproduceConfig(figure="sensitivity"))
+    for algo in ("emrld", "emrld_ws"):
+        main, rl, bc = (p for p in study.programs if p.algo == algo)
+        assert (main.settings, main.varied) == ((), "")  # w_rl is 0.2 there, w_bc 1
+        assert (rl.settings, rl.values) == (("w_bc=1",), (0.4, 0.6, 0.8, 1.0))
+        assert (bc.settings, bc.values) == (("w_rl=1",), (0.2, 0.4, 0.6, 0.8))
+
+
+def test_a_figure_without_its_environment_is_refused() -> None:
+    config = ReproduceConfig(figure="trajectories", envs=["point2d"])
+    with pytest.raises(ConfigError, match="figure=trajectories needs none of envs="):
+        studies(config)
+
+
+def test_lists_of_names_are_checked_one_by_one() -> None:
+    values = parse(["envs=[point2d,half_cheetah]"], ReproduceConfig(), {})
+    assert values["envs"] == ["point2d", "half_cheetah"]
+    with pytest.raises(ConfigError, match="envs=point3d is unknown; did you mean 'point2d'"):
+        parse(["envs=[half_cheetah,point3d]"], ReproduceConfig(), {})
+
+
+def test_sweeps_are_grids_of_environments_and_algorithms(tmp_path: Path) -> None:
+    pairs = [(e, a) for e in ("point2d", "two_wheeled") for a in ("emrld", "gmps")]
+    same = [program(tmp_path, env=env, algo=algo) for env, algo in pairs]
+    varied = program(tmp_path, varied="w_rl", values=(0.4, 1.0))
+    grid, weights = sweeps([*same, varied], "submitit_slurm")
+    assert {"env=point2d,two_wheeled", "algo=emrld,gmps", "num_seeds=3"} <= set(grid)
+    assert grid[0] == weights[0] == "hydra/launcher=submitit_slurm"
+    assert {"env=point2d", "algo=emrld", "w_rl=0.4,1"} <= set(weights)
+
+
+class Scripted(Program):
+    """A program whose commands are Python scripts."""
+
+    def commands(self) -> list[list[str]]:
+        return [[sys.executable, "-c", text] for text in self.settings]
+
+
+def scripted(runs: Path, seed: int, text: str) -> Program:
+    own = Scripted(runs, "point2d", "optimal", "emrld", (seed,))
+    folder = own.folders[0].path
+    folder.mkdir(parents=True)
+    return own._replace(
+        settings=(f"import pathlib, time; at = pathlib.Path({str(folder)!r}); {text}",)
+    )
+
+
+FINISH = "(at / 'results.json').touch()"
+
+
+def test_programs_are_carried_out_and_failures_are_told_with_their_log(tmp_path: Path) -> None:
+    good = [scripted(tmp_path, seed, FINISH) for seed in range(3)]
+    bad = scripted(tmp_path, 3, "raise SystemExit('no such thing')")
+    lazy = scripted(tmp_path, 4, "print('ends, and has finished nothing')")
+    seen: list[Program] = []
+    outcome = run_all([*good, bad, lazy], lambda going, seconds: seen.extend(going))
+    assert all(own.finished for own in good)
+    assert {own for own, _ in outcome.failed} == {bad, lazy}
+    assert outcome.exit_code == 0
+    assert "no such thing" in dict(outcome.failed)[bad].read_text()
+    assert set(seen) == {*good, bad, lazy}
+
+
+def test_what_is_finished_is_not_run_again(tmp_path: Path) -> None:
+    own = scripted(tmp_path, 0, "raise SystemExit(1)")
+    (own.folders[0].path / "results.json").touch()
+    assert run_all([own], lambda going, seconds: None) == running.Outcome([], 0)
+
+
+def test_a_signal_stops_the_programs_and_begins_no_others(tmp_path: Path) -> None:
+    wait = "(at / 'began').touch(); time.sleep(60)"
+    own = [scripted(tmp_path, seed, wait) for seed in range(40)]
+
+    def watch(going: Any, seconds: float) -> None:
+        if (own[0].folders[0].path / "began").is_file():
+            os.kill(os.getpid(), signal.SIGTERM)
+
+    start = time.monotonic()
+    assert threading.current_thread() is threading.main_thread()
+    outcome = run_all(own, watch)
+    assert outcome.exit_code == 128 + signal.SIGTERM
+    assert time.monotonic() - start < 30
+    began = [p for p in own if (p.folders[0].path / "began").is_file()]
+    assert 1 <= len(began) <= len(os.sched_getaffinity(0))
+
+
+def test_the_time_left_is_shared_out_by_what_is_done(tmp_path: Path) -> None:
+    console = Console(record=True, width=120)
+    own = program(tmp_path, seeds=(0, 1))
+    folder = write_run(own.folders[0].path)  # 4 iterations, finished
+    metrics = (folder / "metrics.jsonl").read_text()
+    (folder / "metrics.jsonl").write_text("")
+    watch = Watch([own], lambda _: 4, console)
+    (folder / "metrics.jsonl").write_text(metrics)
+    watch([own], 100.0)  # half of it is done, in 100 s
+    text = console.export_text()
+    assert "0/1 programs finished, 50%, about 1:40 left" in text
+    assert "point2d, emrld, optimal demonstrations: 0 of 4 meta-iterations" in text
+    watch([own], 101.0)
+    assert console.export_text() == ""  # not so soon again
+
+
+def configured(own: Program) -> TrainConfig:
+    config = TrainConfig(num_seeds=len(own.seeds))
+    config.meta.iterations = 4
+    return config
+
+
+def begun(tmp_path: Path, **settings: Any) -> Program:
+    own = program(tmp_path, seeds=(0, 1))
+    for seed, folder in enumerate(own.folders):
+        write_run(folder.path, seed=seed, **settings)
+        config = set_up(load_config(folder.config)).config
+        save_config(config, folder.config)
+    return own
+
+
+def test_runs_that_are_there_are_taken_if_they_are_the_same(tmp_path: Path) -> None:
+    own = begun(tmp_path)
+    assert (
+        check_runs([own], configured)
+        == "note: some runs are of other commits of the code: aaaaaaaaaa"
+    )
+
+
+def test_a_run_of_other_settings_is_refused(tmp_path: Path) -> None:
+    own = begun(tmp_path, meta__max_kl=0.5)
+    with pytest.raises(
+        ConfigError, match=r"seed0 has meta.max_kl=0.5, but this study needs 0.01: take another"
+    ):
+        check_runs([own], configured)

@@ -1,0 +1,160 @@
+"""The command as it is typed, and what its figures and tables show of made-up runs."""
+
+from __future__ import annotations
+
+import csv
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from matplotlib.figure import Figure
+
+from emrld_jax.analysis.groups import Group, group_runs
+from emrld_jax.analysis.loading import load_runs
+from emrld_jax.study import figures, tables
+from tests.analysis.conftest import write_run
+from tests.conftest import Command
+
+
+def groups_in(folder: Path) -> list[Group]:
+    return group_runs(load_runs([folder])).groups
+
+
+@pytest.fixture
+def drawn(monkeypatch: pytest.MonkeyPatch) -> list[Figure]:
+    """Figures that are saved."""
+    saved: list[Figure] = []
+    monkeypatch.setattr(figures, "save", lambda figure, path: saved.append(figure))
+    return saved
+
+
+def labels(axes: Any) -> list[str]:
+    legend = axes.get_legend()
+    return [text.get_text() for text in legend.get_texts()] if legend else []
+
+
+def points(line: Any) -> Any:
+    """What a line goes through, [N, 2]."""
+    return np.asarray(line.get_xydata())
+
+
+def test_curves_have_a_panel_for_each_environment_and_set(
+    tmp_path: Path, drawn: list[Figure]
+) -> None:
+    """Each line with its seeds; MAML's, which takes no demonstrations, in both columns."""
+    for seed, value in enumerate((40.0, 60.0)):
+        write_run(tmp_path / f"a{seed}", seed=seed, value=value)
+        write_run(tmp_path / f"b{seed}", seed=seed, value=20.0, algo="gmps", demos="suboptimal")
+        write_run(tmp_path / f"c{seed}", seed=seed, value=10.0, algo="maml")
+    write_run(tmp_path / "d", environment="two_wheeled", value=5.0)
+    figures.draw_curves(groups_in(tmp_path), "iterations", tmp_path / "curves")
+    first, second, third, fourth = drawn[0].axes
+    assert first.get_title() == "point2d, optimal demonstrations"
+    assert labels(first) == ["emrld (2)", "maml (2)"]
+    assert labels(second) == ["maml (2)", "gmps (2)"]
+    assert labels(third) == ["emrld (1)"]
+    assert labels(fourth) == []
+    means = [line for line in first.lines if line.get_label() == "emrld (2)"]
+    np.testing.assert_allclose(points(means[0])[:, 1], 50.0 * np.array([0.25, 0.5, 0.75, 1.0]))
+    thin = [line for line in first.lines if line.get_linewidth() == 0.5]
+    assert len(thin) == 4  # one a seed
+
+
+def test_the_sensitivity_shows_a_line_a_value_with_the_other_weight_at_one(
+    tmp_path: Path, drawn: list[Figure]
+) -> None:
+    pairs = [(0.2, 1.0), (0.4, 1.0), (1.0, 1.0), (1.0, 0.2)]
+    for w_rl, w_bc in pairs:
+        write_run(tmp_path / f"{w_rl}-{w_bc}", w_rl=w_rl, w_bc=w_bc)
+    figures.draw_lines(figures.sensitivity_panels(groups_in(tmp_path)), tmp_path / "x")
+    shown = [labels(axes) for axes in drawn[0].axes]
+    assert shown[0] == ["w_rl 0.2 (1)", "w_rl 0.4 (1)", "w_rl 1 (1)"]
+    assert shown[1] == ["w_bc 0.2 (1)", "w_bc 1 (1)"]
+    assert shown[2:] == [[], []]  # EMRLD-WS has no run
+
+
+def test_the_ablation_shows_what_each_part_is_worth(tmp_path: Path, drawn: list[Figure]) -> None:
+    for name, weights in {"a": (0.2, 1.0), "b": (0.2, 0.0), "c": (0.0, 1.0)}.items():
+        write_run(tmp_path / name, w_rl=weights[0], w_bc=weights[1])
+    figures.draw_lines(figures.ablation_panels(groups_in(tmp_path)), tmp_path / "x")
+    (axes,) = drawn[0].axes
+    assert labels(axes) == ["both (1)", "w_bc = 0 (1)", "w_rl = 0 (1)"]
+
+
+def test_trajectories_are_those_of_the_last_held_out_task(
+    tmp_path: Path, drawn: list[Figure]
+) -> None:
+    write_run(tmp_path / "a", episodes=True)
+    figures.draw_trajectories(groups_in(tmp_path), tmp_path / "x")
+    (axes,) = drawn[0].axes
+    ends = [tuple(points(line)[-1]) for line in axes.lines]
+    assert (0.0, 2.0) in ends  # the made-up episode after adaptation ends at the second task's goal
+    assert (2.0, 0.0) not in ends
+    assert axes.get_title() == "emrld (1 seed)"
+
+
+def test_tables_have_the_interquartile_mean_and_the_seeds(tmp_path: Path) -> None:
+    for seed, value in enumerate((0.0, 50.0, 52.0, 54.0)):
+        write_run(tmp_path / str(seed), seed=seed, value=value)
+    groups = groups_in(tmp_path)
+    rows = list(csv.DictReader(tables.results_csv(groups).splitlines()))
+    (row,) = [
+        r
+        for r in rows
+        if (r["tasks"], r["measure"], r["when"]) == ("training tasks", "return", "after")
+    ]
+    assert float(row["iqm"]) == 51.0  # the middle two
+    assert (row["seeds"], row["algorithm"], row["env_steps"]) == ("4", "emrld", "4000")
+    text = tables.results_markdown(groups)
+    assert "| point2d | optimal (100.0) | emrld | 4 | 51.0 [" in text
+
+
+def test_improvements_count_pairs_of_runs(tmp_path: Path) -> None:
+    for seed, (own, other) in enumerate(((10.0, 5.0), (20.0, 15.0))):
+        write_run(tmp_path / f"a{seed}", seed=seed, value=own)
+        write_run(tmp_path / f"b{seed}", seed=seed, value=other, algo="maml")
+    # of four pairs emrld wins 10-5, 20-5, 20-15 and loses 10-15
+    assert "| point2d, optimal | emrld | maml | 0.75 [" in tables.improvements_markdown(
+        groups_in(tmp_path)
+    )
+
+
+def test_pictures_are_written_as_png_and_svg(tmp_path: Path) -> None:
+    write_run(tmp_path / "a")
+    figures.draw_curves(groups_in(tmp_path), "seconds", tmp_path / "curves")
+    assert {path.suffix for path in tmp_path.glob("curves.*")} == {".png", ".svg"}
+
+
+def test_a_reproduction_from_its_command_and_again(command: Command, tmp_path: Path) -> None:
+    out = tmp_path / "made"
+    chosen = ("fast=true", "envs=[point2d]", "qualities=[optimal]", "algos=[emrld,meta_bc]")
+    arguments = (*chosen, "seeds=2", f"out={out}")
+    done = command("reproduce", *arguments)
+    assert done.returncode == 0, done.stdout + done.stderr
+    assert "4 runs in 2 programs, 0 of them finished already" in done.stdout
+    for name in ("curves_iterations.svg", "curves_seconds.png", "results.csv", "report.html"):
+        assert (out / name).stat().st_size > 500
+    study = json.loads((out / "study.json").read_text())
+    assert (study["seeds"], study["runs"], study["lines"]) == (2, 4, 2)
+    rows = list(csv.DictReader((out / "results.csv").read_text().splitlines()))
+    assert {(row["algorithm"], row["seeds"]) for row in rows} == {("emrld", "2"), ("meta_bc", "2")}
+    results = out / "runs" / "main" / "point2d" / "meta_bc-optimal" / "seed1" / "results.json"
+    trained = results.stat().st_mtime_ns
+    again = command("reproduce", *arguments)
+    assert again.returncode == 0, again.stderr
+    assert "2 of them finished already" in again.stdout
+    assert results.stat().st_mtime_ns == trained
+
+
+def test_what_is_wrong_is_told_before_any_training(command: Command, tmp_path: Path) -> None:
+    for wrong, words in {
+        "envs=[point3d]": "did you mean 'point2d'",
+        "figure=trajectories": "needs none of envs=['point2d']",
+    }.items():
+        given = (wrong,) if wrong.startswith("envs") else (wrong, "envs=[point2d]")
+        done = command("reproduce", *given, f"out={tmp_path / 'made'}")
+        assert done.returncode == 2, done.stdout
+        assert words in done.stderr
+        assert not (tmp_path / "made").exists()
