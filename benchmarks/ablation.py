@@ -12,8 +12,9 @@ from typing import Any
 
 import numpy as np
 
-from benchmarks.jobs import Job, run_all, write_results
+from benchmarks.jobs import job, metrics, results, train_all, write_results
 from emrld_jax.demos.shipped import QUALITIES
+from emrld_jax.study.programs import Program
 
 # settings, one row each; the first row has none
 POINT2D = (
@@ -53,17 +54,17 @@ MARKS = (20, 40, 60, 80, 100)  # iterations
 WINDOW = 5  # iterations up to a mark that are averaged
 
 
-def summarize(name: str, jobs: Sequence[Job]) -> dict[str, Any]:
+def summarize(name: str, jobs: Sequence[Program]) -> dict[str, Any]:
     """One row: the return after adaptation around each mark, and in the end, a value a seed."""
-    curves = [[record["adapt/return_1"] for record in job.metrics()] for job in jobs]
+    curves = [[record["adapt/return_1"] for record in metrics(own)] for own in jobs]
     return {
         "setting": name,
-        "seeds": [job.seed for job in jobs],
+        "seeds": [own.seeds[0] for own in jobs],
         "return_at": {m: [float(np.mean(c[m - WINDOW : m])) for c in curves] for m in MARKS},
-        "final": [job.results()["train"]["stages"][-1]["return"] for job in jobs],
-        "held_out": [job.results()["test"]["stages"][-1]["return"] for job in jobs],
+        "final": [results(own)["train"]["stages"][-1]["return"] for own in jobs],
+        "held_out": [results(own)["test"]["stages"][-1]["return"] for own in jobs],
         "s_per_iteration": float(
-            np.median([r["time/iteration_s"] for job in jobs for r in job.metrics()])
+            np.median([r["time/iteration_s"] for own in jobs for r in metrics(own)])
         ),
     }
 
@@ -96,7 +97,7 @@ def main() -> None:
     options = parser.parse_args()
     rows = {
         name: [
-            Job(
+            job(
                 options.runs / options.env / (name.replace(" ", ",") or "defaults"),
                 options.env,
                 options.demos,
@@ -109,10 +110,10 @@ def main() -> None:
         for name in ("", *VARIANTS[options.env])
     }
     if not options.table:
-        run_all([job for jobs in rows.values() for job in jobs])
-    done = {name: [job for job in jobs if job.finished] for name, jobs in rows.items()}
+        train_all([own for jobs in rows.values() for own in jobs])
+    done = {name: [own for own in jobs if own.finished] for name, jobs in rows.items()}
     summaries = [summarize(name, jobs) for name, jobs in done.items() if jobs]
-    finished = [job for jobs in done.values() for job in jobs]
+    finished = [own for jobs in done.values() for own in jobs]
     name = f"ablation-{options.env}-{options.algo}-{options.demos}"
     write_results(name, finished, summaries, table(summaries))
 

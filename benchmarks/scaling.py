@@ -18,13 +18,14 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from benchmarks.choice import Choice, origin
-from benchmarks.jobs import Job, run_all
+from benchmarks.jobs import job, metrics, train_all
 from benchmarks.records import write_record
 from emrld_jax.runs import cli
 from emrld_jax.runs.config import ConfigError, check_config
 from emrld_jax.runs.launch import HUGE_PAGES
 from emrld_jax.runs.setup import set_up
 from emrld_jax.settings import setting
+from emrld_jax.study.programs import Program
 from envs_jax.base import REWARDS
 
 
@@ -79,23 +80,23 @@ def measure(config: ScalingConfig, way: Way, cores: int) -> Measured:
         together = (f"num_seeds={way.seeds}", f"processes={way.processes}") if way.processes else ()
         seeds = range(1 if way.processes else way.seeds)
         place = (Path(folder), config.env, config.demos, config.algo)
-        jobs = [Job(*place, seed, (*more, *together)) for seed in seeds]
+        jobs = [job(*place, seed, (*more, *together)) for seed in seeds]
         began = time.perf_counter()
         if way.processes:
             _run(jobs[0])
         else:
-            run_all(jobs)
+            train_all(jobs)
         wall = time.perf_counter() - began
-        times = [[record["time/iteration_s"] for record in job.metrics()] for job in jobs]
+        times = [[record["time/iteration_s"] for record in metrics(own)] for own in jobs]
     iteration = float(np.median([t[len(t) // 2 :] for t in times]))
     at_once = way.seeds if way.processes else min(cores, way.seeds)
     return Measured(way, iteration, iteration / at_once, wall)
 
 
-def _run(job: Job) -> None:
+def _run(own: Program) -> None:
     """One command on all cores."""
     environment = HUGE_PAGES | os.environ  # as all ways that start several processes have it
-    subprocess.run(job.command(), check=True, stdout=subprocess.DEVNULL, env=environment)
+    subprocess.run(own.commands()[0], check=True, stdout=subprocess.DEVNULL, env=environment)
 
 
 def table(found: list[Measured]) -> str:

@@ -12,7 +12,8 @@ from typing import Any
 
 import numpy as np
 
-from benchmarks.jobs import Job, run_all, write_results
+from benchmarks.jobs import job, metrics, results, train_all, write_results
+from emrld_jax.study.programs import Program
 
 ENVIRONMENTS = ("point2d", "two_wheeled", "two_wheeled_drift", "half_cheetah")
 ROWS = (
@@ -25,24 +26,24 @@ ROWS = (
 Row = dict[str, Any]
 
 
-def summarize(jobs: Sequence[Job]) -> Row:
+def summarize(jobs: Sequence[Program]) -> Row:
     """One row: figures after adaptation, a value a seed."""
-    results = [job.results() for job in jobs]
+    found = [results(own) for own in jobs]
 
     def figure(split: str, name: str) -> list[float]:
-        return [result[split]["stages"][-1][name] for result in results]
+        return [result[split]["stages"][-1][name] for result in found]
 
     def solved(split: str) -> list[float]:
         """Share of tasks of which more than half of the episodes succeed."""
-        rates = [result[split]["stages"][-1]["success_per_task"] for result in results]
+        rates = [result[split]["stages"][-1]["success_per_task"] for result in found]
         return [float(np.mean(np.array(rate) > 0.5)) for rate in rates]
 
     return {
         "environment": jobs[0].env,
         "demonstrations": jobs[0].demos,
         "algorithm": jobs[0].algo,
-        "seeds": [job.seed for job in jobs],
-        "demonstrated_return": results[0]["train"]["demonstrations"]["return"],
+        "seeds": [own.seeds[0] for own in jobs],
+        "demonstrated_return": found[0]["train"]["demonstrations"]["return"],
         "return": figure("train", "return"),
         "success": figure("train", "success"),
         "held_out_return": figure("test", "return"),
@@ -52,12 +53,12 @@ def summarize(jobs: Sequence[Job]) -> Row:
         # the last held-out drift is that of the paper's robot experiment, -0.65 rad a step
         "robot_experiment_success": [
             r["test"]["stages"][-1]["success_per_task"][-1]
-            for r in results
+            for r in found
             if jobs[0].env == "two_wheeled_drift"
         ],
-        "iterations": len(jobs[0].metrics()),
+        "iterations": len(metrics(jobs[0])),
         "training_s": float(
-            np.mean([sum(r["time/iteration_s"] for r in job.metrics()) for job in jobs])
+            np.mean([sum(r["time/iteration_s"] for r in metrics(own)) for own in jobs])
         ),
     }
 
@@ -115,16 +116,16 @@ def main() -> None:
     parser.add_argument("--table", action="store_true", help="only tabulate what is finished")
     options = parser.parse_args()
     rows = [
-        [Job(options.runs, env, demos, algo, seed) for seed in options.seeds]
+        [job(options.runs, env, demos, algo, seed) for seed in options.seeds]
         for env in options.envs
         for demos, algo in ROWS
     ]
     if not options.table:
         # seed by seed, so that an interrupted call leaves whole tables of fewer seeds
-        run_all([job for jobs in zip(*rows, strict=True) for job in jobs])
-    done = [[job for job in jobs if job.finished] for jobs in rows]
+        train_all([own for jobs in zip(*rows, strict=True) for own in jobs])
+    done = [[own for own in jobs if own.finished] for jobs in rows]
     summaries = [summarize(jobs) for jobs in done if jobs]
-    write_results("targets", [job for jobs in done for job in jobs], summaries, table(summaries))
+    write_results("targets", [own for jobs in done for own in jobs], summaries, table(summaries))
 
 
 if __name__ == "__main__":

@@ -17,7 +17,13 @@ PACKAGES = ("envs_jax", "emrld_jax", "bridges", "benchmarks", "examples", "docs"
 BASIS = {"emrld_jax.types", "emrld_jax.policy", "emrld_jax.settings"}
 PARTS = {*BASIS, "envs_jax", "emrld_jax.sampling", "emrld_jax.theory", "emrld_jax.meta"}
 BELOW_RUNS = {*PARTS, "emrld_jax.demos", "emrld_jax.algorithms"}
-BELOW_COMMANDS = {*BELOW_RUNS, "emrld_jax", "emrld_jax.runs", "emrld_jax.analysis"}
+BELOW_COMMANDS = {
+    *BELOW_RUNS,
+    "emrld_jax",
+    "emrld_jax.runs",
+    "emrld_jax.analysis",
+    "emrld_jax.study",
+}
 MAY_IMPORT: dict[str, set[str]] = {
     "envs_jax": set(),
     "emrld_jax.types": set(),
@@ -32,6 +38,7 @@ MAY_IMPORT: dict[str, set[str]] = {
     "emrld_jax.algorithms": PARTS,
     "emrld_jax.runs": {*BELOW_RUNS, "emrld_jax"},
     "emrld_jax.analysis": {*BELOW_RUNS, "emrld_jax", "emrld_jax.runs"},
+    "emrld_jax.study": {*BELOW_RUNS, "emrld_jax", "emrld_jax.runs", "emrld_jax.analysis"},
     "bridges": BELOW_COMMANDS,
     "commands": {*BELOW_COMMANDS, "bridges"},
     "benchmarks": {*BELOW_COMMANDS, "bridges", "commands"},

@@ -12,7 +12,8 @@ import pytest
 
 from benchmarks import ablation, communication, compare, growth, targets
 from benchmarks.flops import matrix_flops
-from benchmarks.jobs import Job
+from benchmarks.jobs import job
+from emrld_jax.study.programs import Program
 
 
 def test_products_are_counted_wherever_they_are() -> None:
@@ -35,19 +36,20 @@ def test_products_are_counted_wherever_they_are() -> None:
         matrix_flops(jnp.matmul, a, b, trips=(3,))
 
 
-def finished_run(runs: Path, seed: int, returns: list[float]) -> Job:
+def finished_run(runs: Path, seed: int, returns: list[float]) -> Program:
     """A run as `summarize` reads it: two tasks, of which one has this return after adaptation."""
-    job = Job(runs, "two_wheeled_drift", "optimal", "emrld", seed)
-    job.folder.mkdir(parents=True)
+    own = job(runs, "two_wheeled_drift", "optimal", "emrld", seed)
+    folder = own.folders[0].path
+    folder.mkdir(parents=True)
     after = {"return": np.mean(returns), "success": 0.75, "success_per_task": [1.0, 0.5]}
     split = {"stages": [{}, after], "demonstrations": {"return": 80.0}}
-    (job.folder / "results.json").write_text(json.dumps({"train": split, "test": split}))
+    (folder / "results.json").write_text(json.dumps({"train": split, "test": split}))
     records = [
         {"iteration": i, "adapt/return_0": 0.0, "adapt/return_1": float(i), "time/iteration_s": 2.0}
         for i in range(100)
     ]
-    (job.folder / "metrics.jsonl").write_text("".join(json.dumps(r) + "\n" for r in records))
-    return job
+    (folder / "metrics.jsonl").write_text("".join(json.dumps(r) + "\n" for r in records))
+    return own
 
 
 def test_a_row_of_the_table_of_targets(tmp_path: Path) -> None:

@@ -52,3 +52,11 @@ def test_tables_of_algorithms_are_complete(page: str) -> None:
 def test_every_algorithm_is_in_the_reference() -> None:
     page = (ROOT / "docs/reference/algorithms.md").read_text().splitlines()
     assert {f"::: emrld_jax.algorithms.{name}" for name in algorithms.names()} <= set(page)
+
+
+@pytest.mark.parametrize("name", algorithms.names())
+def test_every_algorithm_has_a_page_with_its_file_and_its_source(name: str) -> None:
+    page = (ROOT / f"docs/algorithms/{name}.md").read_text()
+    assert f'--8<-- "emrld_jax/algorithms/{name}.py"' in page
+    assert "Source: " in page
+    assert f"{name}.md" in (ROOT / "docs/algorithms/index.md").read_text()

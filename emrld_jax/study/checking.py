@@ -43,7 +43,7 @@ def check_runs(programs: Sequence[Program], configured: Callable[[Program], Trai
 
 def _check_settings(program: Program, config: TrainConfig) -> None:
     wanted = {
-        program.folder(own.seed, value(own, program.varied) if program.varied else None).path: own
+        program.folder(own.seed, tuple(value(own, number) for number, _ in program.grid)).path: own
         for own in (variant.config for variant in variants(set_up(config).config))
     }
     for path, own in wanted.items():

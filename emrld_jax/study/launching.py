@@ -29,9 +29,8 @@ def sweeps(programs: Sequence[Program], launcher: str) -> list[list[str]]:
 
 def _arguments(same: Program, envs: Sequence[str], algos: Sequence[str]) -> list[str]:
     program = same._replace(env=",".join(envs), algo=",".join(algos))
-    alone = program._replace(varied="", values=())
-    values = ",".join(f"{x:g}" for x in program.values)
-    varied = [f"{program.varied}={values}"] if program.varied else []
+    alone = program._replace(grid=())
+    varied = [f"{number}={','.join(f'{x:g}' for x in values)}" for number, values in program.grid]
     return [*alone.arguments(program.seeds[0], len(program.seeds)), *varied]
 
 

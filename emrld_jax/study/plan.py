@@ -12,7 +12,7 @@ from emrld_jax import algorithms
 from emrld_jax.demos.shipped import QUALITIES
 from emrld_jax.runs.config import ConfigError
 from emrld_jax.settings import setting
-from emrld_jax.study.programs import Program
+from emrld_jax.study.programs import Grid, Program
 from envs_jax import names
 
 FIGURES = ("curves", "sensitivity", "ablation", "trajectories")
@@ -91,12 +91,11 @@ def _program(
     demos: str,
     algo: str,
     settings: tuple[str, ...] = (),
-    varied: str = "",
-    values: tuple[float, ...] = (),
+    grid: Grid = (),
 ) -> Program:
     runs = Path(config.out) / "runs" / group
     own = (*settings, *FAST * config.fast)
-    return Program(runs, env, demos, algo, tuple(range(config.seeds)), own, varied, values)
+    return Program(runs, env, demos, algo, tuple(range(config.seeds)), own, grid)
 
 
 def _curves(config: ReproduceConfig) -> list[Program]:
@@ -118,8 +117,8 @@ def _sensitivity(config: ReproduceConfig) -> list[Program]:
         own = partial(_program, config, env="point2d", demos="optimal", algo=algo)
         made += [
             own(MAIN),
-            own("sensitivity", settings=("w_bc=1",), varied="w_rl", values=WEIGHTS[1:]),
-            own("sensitivity", settings=("w_rl=1",), varied="w_bc", values=WEIGHTS[:-1]),
+            own("sensitivity", settings=("w_bc=1",), grid=(("w_rl", WEIGHTS[1:]),)),
+            own("sensitivity", settings=("w_rl=1",), grid=(("w_bc", WEIGHTS[:-1]),)),
         ]
     return made
 

@@ -4,15 +4,18 @@ from __future__ import annotations
 
 import os
 import sys
-from itertools import groupby
+from itertools import groupby, product
 from pathlib import Path
 from typing import NamedTuple
 
 from emrld_jax.runs.folder import RunFolder
 
+Grid = tuple[tuple[str, tuple[float, ...]], ...]  # numbers by name, and the values of each
+Point = tuple[float, ...]  # of a grid: a value of each of its numbers
+
 
 class Program(NamedTuple):
-    """Runs of `emrld_jax.train` that differ in their seeds, and perhaps in one number."""
+    """Runs of `emrld_jax.train` that differ in their seeds, and perhaps in some numbers."""
 
     runs: Path  # folder that the run folders are made in
     env: str
@@ -20,26 +23,31 @@ class Program(NamedTuple):
     algo: str
     seeds: tuple[int, ...]
     settings: tuple[str, ...] = ()  # more of the command line
-    varied: str = ""  # the number that they differ in
-    values: tuple[float, ...] = ()  # of it
+    grid: Grid = ()  # of the numbers that they differ in
 
     @property
     def name(self) -> str:
         """What tells it from others, in words."""
-        words = [self.env, self.algo, *[f"{self.demos} demonstrations"], *self.settings]
-        return ", ".join([*words, *[f"each {self.varied}"] * bool(self.varied)])
+        varied = [f"each {number}" for number, _ in self.grid]
+        own = f"{self.demos} demonstrations"
+        return ", ".join([self.env, self.algo, own, *self.settings, *varied])
 
-    def folder(self, seed: int, value: float | None = None) -> RunFolder:
+    @property
+    def points(self) -> list[Point]:
+        """The combinations of the grid's values; one, of none, without a grid."""
+        return list(product(*(values for _, values in self.grid)))
+
+    def folder(self, seed: int, point: Point = ()) -> RunFolder:
         """Of one of its runs."""
-        label = "" if value is None else f"{self.varied}={value:g}"
+        pairs = zip(self.grid, point, strict=True)
+        label = ",".join(f"{number}={value:g}" for (number, _), value in pairs)
         parent = self.runs / self.env / f"{self.algo}-{Path(self.demos).stem}" / label
         return RunFolder(parent / f"seed{seed}")
 
     @property
     def folders(self) -> list[RunFolder]:
         """Of all its runs."""
-        values = self.values or (None,)
-        return [self.folder(seed, value) for seed in self.seeds for value in values]
+        return [self.folder(seed, point) for seed in self.seeds for point in self.points]
 
     @property
     def finished(self) -> bool:
@@ -59,16 +67,15 @@ class Program(NamedTuple):
         chosen += [f"seed={seed}", f"runs={self.runs}", *self.settings]
         if num_seeds > 1:
             chosen.append(f"num_seeds={num_seeds}")
-        if self.varied:
-            chosen.append(f"vmap.{self.varied}=[{','.join(f'{x:g}' for x in self.values)}]")
+        for number, values in self.grid:
+            chosen.append(f"vmap.{number}=[{','.join(f'{x:g}' for x in values)}]")
         return chosen
 
     def _new(self) -> list[tuple[int, int]]:
         """Seeds of which no run has begun, as the first and the number of those in a row."""
-        values = self.values or (None,)
-        new = [s for s in self.seeds if not any(self._begun(s, value) for value in values)]
+        new = [seed for seed in self.seeds if not any(self._begun(seed, p) for p in self.points)]
         rows = [list(row) for _, row in groupby(enumerate(new), lambda pair: pair[1] - pair[0])]
         return [(row[0][1], len(row)) for row in rows]
 
-    def _begun(self, seed: int, value: float | None) -> bool:
-        return self.folder(seed, value).config.is_file()
+    def _begun(self, seed: int, point: Point) -> bool:
+        return self.folder(seed, point).config.is_file()

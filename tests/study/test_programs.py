@@ -60,7 +60,7 @@ def test_new_seeds_are_trained_together_and_begun_ones_go_on(tmp_path: Path) -> 
 
 
 def test_nothing_is_left_of_a_finished_program(tmp_path: Path) -> None:
-    own = program(tmp_path, varied="w_rl", values=(0.2, 1.0))
+    own = program(tmp_path, grid=(("w_rl", (0.2, 1.0)),))
     for value in ("w_rl=0.2", "w_rl=1"):
         for seed in range(3):
             begin(tmp_path / "point2d" / "emrld-optimal" / value / f"seed{seed}", finished=True)
@@ -69,7 +69,7 @@ def test_nothing_is_left_of_a_finished_program(tmp_path: Path) -> None:
 
 
 def test_values_are_trained_side_by_side(tmp_path: Path) -> None:
-    own = program(tmp_path, varied="w_bc", values=(0.2, 0.4), settings=("w_rl=1",))
+    own = program(tmp_path, grid=(("w_bc", (0.2, 0.4)),), settings=("w_rl=1",))
     (command,) = own.commands()
     assert {"vmap.w_bc=[0.2,0.4]", "w_rl=1", "seed=0", "num_seeds=3"} <= arguments(command)
     assert len(own.folders) == 6
@@ -96,9 +96,9 @@ def test_the_sensitivity_has_five_values_of_each_weight(tmp_path: Path) -> None:
     (study,) = studies(ReproduceConfig(figure="sensitivity"))
     for algo in ("emrld", "emrld_ws"):
         main, rl, bc = (p for p in study.programs if p.algo == algo)
-        assert (main.settings, main.varied) == ((), "")  # w_rl is 0.2 there, w_bc 1
-        assert (rl.settings, rl.values) == (("w_bc=1",), (0.4, 0.6, 0.8, 1.0))
-        assert (bc.settings, bc.values) == (("w_rl=1",), (0.2, 0.4, 0.6, 0.8))
+        assert (main.settings, main.grid) == ((), ())  # w_rl is 0.2 there, w_bc 1
+        assert (rl.settings, rl.grid) == (("w_bc=1",), (("w_rl", (0.4, 0.6, 0.8, 1.0)),))
+        assert (bc.settings, bc.grid) == (("w_rl=1",), (("w_bc", (0.2, 0.4, 0.6, 0.8)),))
 
 
 def test_a_figure_without_its_environment_is_refused() -> None:
@@ -117,7 +117,7 @@ def test_lists_of_names_are_checked_one_by_one() -> None:
 def test_sweeps_are_grids_of_environments_and_algorithms(tmp_path: Path) -> None:
     pairs = [(e, a) for e in ("point2d", "two_wheeled") for a in ("emrld", "gmps")]
     same = [program(tmp_path, env=env, algo=algo) for env, algo in pairs]
-    varied = program(tmp_path, varied="w_rl", values=(0.4, 1.0))
+    varied = program(tmp_path, grid=(("w_rl", (0.4, 1.0)),))
     grid, weights = sweeps([*same, varied], "submitit_slurm")
     assert {"env=point2d,two_wheeled", "algo=emrld,gmps", "num_seeds=3"} <= set(grid)
     assert grid[0] == weights[0] == "hydra/launcher=submitit_slurm"
