@@ -1,4 +1,4 @@
-"""Training runs for tables: a program of one seed each, carried out side by side."""
+"""Training runs for tables, carried out side by side."""
 
 from __future__ import annotations
 
@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from benchmarks.records import write_record
+from emrld_jax.runs.folder import RunFolder
 from emrld_jax.runs.metrics import Record, read_metrics
 from emrld_jax.study.programs import Program
 from emrld_jax.study.running import run_all
@@ -23,8 +24,13 @@ def job(
 
 
 def results(own: Program) -> dict[str, Any]:
+    """What the final evaluation found, of a program of one run."""
+    return results_of(own.folders[0])
+
+
+def results_of(folder: RunFolder) -> dict[str, Any]:
     """What a run's final evaluation found."""
-    found: dict[str, Any] = json.loads(own.folders[0].results.read_text())
+    found: dict[str, Any] = json.loads(folder.results.read_text())
     return found
 
 
