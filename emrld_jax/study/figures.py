@@ -27,7 +27,7 @@ COLORS = {
     "emaml": "#c23b6e",
     "reptile": "#208f94",
 }
-SHADES = ("#b6d0ee", "#83aede", "#518bcb", "#2a67ac", "#0d3f7a")  # of values that rise
+SHADES = ("#440154", "#3b528b", "#21918c", "#5ec962", "#c9b418")  # of values that rise
 AXES = {"iterations": "meta-iterations", "env_steps": "environment steps", "seconds": "seconds"}
 DRIFT = -1  # the held-out task of the robot experiment is the last one: -0.65 rad a step
 
@@ -50,17 +50,20 @@ def draw_curves(groups: Sequence[Group], against: str, path: Path) -> None:
         for axes, quality in zip(row, demos, strict=True):
             own = [g for g in groups if g.environment == env and _belongs(g, quality)]
             lines = [Line(g, g.label, COLORS[g.algorithm]) for g in by_algorithm(own)]
-            _panel(axes, lines, f"{env}, {quality} demonstrations", against)
             _demonstrated(axes, [g for g in own if g.demonstrations == quality])
+            _panel(axes, lines, f"{env}, {quality} demonstrations", against)
     save(figure, path)
 
 
 def draw_lines(panels: Sequence[tuple[str, Sequence[Line]]], path: Path) -> None:
-    """Return after adaptation against meta-iterations, panels side by side."""
-    figure = Figure(figsize=(4.6 * len(panels), 3.4), layout="constrained")
-    grid = figure.subplots(1, len(panels), squeeze=False, sharey=True)
-    for axes, (title, lines) in zip(grid.flat, panels, strict=True):
+    """Return after adaptation against meta-iterations; two panels a row."""
+    rows = (len(panels) + 1) // 2
+    figure = Figure(figsize=(10.4, 3.4 * rows), layout="constrained")
+    grid = figure.subplots(rows, 2, squeeze=False, sharey=True)
+    for axes, (title, lines) in zip(grid.flat, panels, strict=False):
         _panel(axes, lines, title, "iterations")
+    for axes in list(grid.flat)[len(panels) :]:
+        axes.remove()
     save(figure, path)
 
 
@@ -98,7 +101,7 @@ def _panel(axes: Axes, lines: Sequence[Line], title: str, against: str) -> None:
         found = curve(line.group, against=against)
         seeds = len(found.seeds)
         axes.plot(found.x, found.each.T, color=line.color, linewidth=0.5, alpha=0.3)
-        axes.fill_between(found.x, found.low, found.high, color=line.color, alpha=0.18, linewidth=0)
+        axes.fill_between(found.x, found.low, found.high, color=line.color, alpha=0.15, linewidth=0)
         axes.plot(
             found.x, found.value, color=line.color, linewidth=1.8, label=f"{line.label} ({seeds})"
         )
@@ -113,7 +116,7 @@ def _demonstrated(axes: Axes, groups: Sequence[Group]) -> None:
     """What the demonstrations return, as a dashed line."""
     if groups:
         shown = groups[0].runs[0].results["train"]["demonstrations"]["return"]
-        axes.axhline(shown, color="black", linestyle="--", linewidth=0.8)
+        axes.axhline(shown, color="black", linestyle="--", linewidth=0.8, label="demonstrations")
 
 
 def _belongs(group: Group, quality: str) -> bool:

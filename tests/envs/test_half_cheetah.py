@@ -19,8 +19,12 @@ import numpy as np
 import pytest
 
 import envs_jax
+from emrld_jax import algorithms
+from emrld_jax.meta.side_by_side import make_mesh, side_by_side
 from emrld_jax.policy import gaussian_policy
 from emrld_jax.sampling.rollouts import collector
+from emrld_jax.settings import AdaptSettings, PolicySettings, Settings
+from emrld_jax.types import Demos
 from envs_jax.half_cheetah import CheetahTask, HalfCheetah
 from envs_jax.physics import SlowBackendWarning, pack
 from envs_jax.physics.engine import Engine
@@ -330,6 +334,31 @@ def test_both_backends_collect_the_same_episodes() -> None:
     for name in ("obs", "action", "reward"):
         ours, theirs = (getattr(found[b].trajectory, name) for b in ("mjx", "mujoco"))
         np.testing.assert_allclose(ours, theirs, atol=2e-2)
+
+
+def test_seeds_tasks_and_episodes_are_stepped_in_one_call(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """2 seeds, 2 tasks, 3 episodes: 12 simulations a call; 4 steps before adaptation and after."""
+    sizes: list[int] = []
+    advance_all = Engine._advance_all
+
+    def spied(self: Engine, bodies: Any, controls: Any) -> np.ndarray:
+        sizes.append(int(np.prod(np.shape(bodies)[:-1])))
+        return advance_all(self, bodies, controls)
+
+    monkeypatch.setattr(Engine, "_advance_all", spied)
+    settings = Settings(
+        policy=PolicySettings(hidden_sizes=[4]), adapt=AdaptSettings(num_episodes=3)
+    )
+    learner = algorithms.make("maml", HalfCheetah(horizon=4), settings)
+    programs = side_by_side(lambda values: learner.programs, make_mesh(jax.devices()[:1], 2, 2))
+    states = jax.vmap(learner.init)(jax.random.split(jax.random.key(0), 2))
+    demos = Demos(jnp.zeros((2, 1, 20)), jnp.zeros((2, 1, 6)), jnp.ones((2, 1)))
+    keys = jax.random.split(jax.random.key(1), 2)
+    _, metrics = programs.update(states, keys, {}, HalfCheetah().test_tasks(), demos)
+    np.testing.assert_array_equal(metrics["adapt/length_1"], 4.0)
+    assert sizes == [12] * 8
 
 
 def test_the_papers_cheetahs_move_as_ours(paper_demos: Path) -> None:

@@ -52,9 +52,9 @@ def test_curves_have_a_panel_for_each_environment_and_set(
     figures.draw_curves(groups_in(tmp_path), "iterations", tmp_path / "curves")
     first, second, third, fourth = drawn[0].axes
     assert first.get_title() == "point2d, optimal demonstrations"
-    assert labels(first) == ["emrld (2)", "maml (2)"]
-    assert labels(second) == ["maml (2)", "gmps (2)"]
-    assert labels(third) == ["emrld (1)"]
+    assert labels(first) == ["demonstrations", "emrld (2)", "maml (2)"]
+    assert labels(second) == ["demonstrations", "maml (2)", "gmps (2)"]
+    assert labels(third) == ["demonstrations", "emrld (1)"]
     assert labels(fourth) == []
     means = [line for line in first.lines if line.get_label() == "emrld (2)"]
     np.testing.assert_allclose(points(means[0])[:, 1], 50.0 * np.array([0.25, 0.5, 0.75, 1.0]))
@@ -69,7 +69,7 @@ def test_the_sensitivity_shows_a_line_a_value_with_the_other_weight_at_one(
     for w_rl, w_bc in pairs:
         write_run(tmp_path / f"{w_rl}-{w_bc}", w_rl=w_rl, w_bc=w_bc)
     figures.draw_lines(figures.sensitivity_panels(groups_in(tmp_path)), tmp_path / "x")
-    shown = [labels(axes) for axes in drawn[0].axes]
+    shown = [labels(axes) for axes in drawn[0].axes]  # in rows of two
     assert shown[0] == ["w_rl 0.2 (1)", "w_rl 0.4 (1)", "w_rl 1 (1)"]
     assert shown[1] == ["w_bc 0.2 (1)", "w_bc 1 (1)"]
     assert shown[2:] == [[], []]  # EMRLD-WS has no run
