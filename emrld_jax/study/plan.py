@@ -45,6 +45,13 @@ class ReproduceConfig:
     algos: list[str] = setting(
         [*COMPARED], "algorithms of the curves and trajectories", choices=algorithms.names()
     )
+    steps: int = setting(
+        3,
+        "the curves' runs are evaluated on held-out tasks after up to so many adaptation steps; "
+        "0: they are not",
+        at_least=0,
+        at_most=100,
+    )
     draw: bool = setting(False, "train nothing: only draw what is finished")
     launcher: str | None = setting(
         None, "hand the trainings to this launcher of Hydra's, such as submitit_slurm"
@@ -93,9 +100,9 @@ def _program(
     settings: tuple[str, ...] = (),
     grid: Grid = (),
 ) -> Program:
-    runs = Path(config.out) / "runs" / group
-    own = (*settings, *FAST * config.fast)
-    return Program(runs, env, demos, algo, tuple(range(config.seeds)), own, grid)
+    runs, seeds = Path(config.out) / "runs" / group, tuple(range(config.seeds))
+    own, steps = (*settings, *FAST * config.fast), config.steps if group == MAIN else 0
+    return Program(runs, env, demos, algo, seeds, own, grid, steps)
 
 
 def _curves(config: ReproduceConfig) -> list[Program]:

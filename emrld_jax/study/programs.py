@@ -10,6 +10,8 @@ from typing import NamedTuple
 
 from emrld_jax.runs.folder import RunFolder
 
+EPISODES = 50  # a task, of an evaluation after several adaptation steps
+
 Grid = tuple[tuple[str, tuple[float, ...]], ...]  # numbers by name, and the values of each
 Point = tuple[float, ...]  # of a grid: a value of each of its numbers
 
@@ -24,6 +26,7 @@ class Program(NamedTuple):
     seeds: tuple[int, ...]
     settings: tuple[str, ...] = ()  # more of the command line
     grid: Grid = ()  # of the numbers that they differ in
+    steps: int = 0  # each run is evaluated after up to so many adaptation steps, too; 0: is not
 
     @property
     def name(self) -> str:
@@ -51,7 +54,7 @@ class Program(NamedTuple):
 
     @property
     def finished(self) -> bool:
-        return all(folder.finished for folder in self.folders)
+        return all(folder.finished for folder in self.folders) and not self._unevaluated
 
     def commands(self) -> list[list[str]]:
         """The command lines that finish it: of what has begun, and of what has not."""
@@ -59,7 +62,8 @@ class Program(NamedTuple):
         begun = [f for f in self.folders if f.config.is_file() and not f.finished]
         paths = os.pathsep.join(str(folder.path) for folder in begun)
         resumed = [[*train, f"resume={paths}"]] if begun else []
-        return [*resumed, *([*train, *self.arguments(first, n)] for first, n in self._new())]
+        new = [[*train, *self.arguments(first, n)] for first, n in self._new()]
+        return [*resumed, *new, *map(self._evaluation, self._unevaluated)]
 
     def arguments(self, seed: int, num_seeds: int) -> list[str]:
         """Of `emrld_jax.train`, for some seeds in a row."""
@@ -70,6 +74,16 @@ class Program(NamedTuple):
         for number, values in self.grid:
             chosen.append(f"vmap.{number}=[{','.join(f'{x:g}' for x in values)}]")
         return chosen
+
+    @property
+    def _unevaluated(self) -> list[RunFolder]:
+        """Runs that have no evaluation after `steps` adaptation steps."""
+        name = f"test-steps{self.steps}-*/evaluation.json"
+        return [f for f in self.folders if self.steps and not any(f.evaluations.glob(name))]
+
+    def _evaluation(self, folder: RunFolder) -> list[str]:
+        chosen = [f"run={folder.path}", "tasks=test", f"adapt.num_steps={self.steps}"]
+        return [sys.executable, "-m", "emrld_jax.evaluate", *chosen, f"episodes={EPISODES}"]
 
     def _new(self) -> list[tuple[int, int]]:
         """Seeds of which no run has begun, as the first and the number of those in a row."""

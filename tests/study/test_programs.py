@@ -68,6 +68,22 @@ def test_nothing_is_left_of_a_finished_program(tmp_path: Path) -> None:
     assert own.commands() == []
 
 
+def test_each_run_is_evaluated_once_after_its_training(tmp_path: Path) -> None:
+    own = program(tmp_path, seeds=(0, 1), steps=3)
+    train, *evaluations = own.commands()
+    assert {"seed=0", "num_seeds=2"} <= arguments(train)
+    assert [command[2] for command in evaluations] == ["emrld_jax.evaluate"] * 2
+    assert {"tasks=test", "adapt.num_steps=3"} <= set(evaluations[0])
+    for folder in own.folders:
+        begin(folder.path, finished=True)
+    assert not own.finished
+    done = own.folders[0].evaluations / "test-steps3-episodes50-seed0"
+    done.mkdir(parents=True)
+    (done / "evaluation.json").touch()
+    ((*_, where, _, _, _),) = own.commands()
+    assert where == f"run={own.folders[1].path}"
+
+
 def test_values_are_trained_side_by_side(tmp_path: Path) -> None:
     own = program(tmp_path, grid=(("w_bc", (0.2, 0.4)),), settings=("w_rl=1",))
     (command,) = own.commands()
