@@ -14,9 +14,10 @@ from typing import Any
 import numpy as np
 
 from benchmarks.jobs import results_of, train_all, write_results
+from emrld_jax.algorithms import takes_demonstrations
 from emrld_jax.demos.shipped import QUALITIES
 from emrld_jax.runs.cli import train_config
-from emrld_jax.study.plan import COMPARED, takes_demonstrations
+from emrld_jax.study.plan import COMPARED
 from emrld_jax.study.programs import Grid, Point, Program
 from envs_jax import names
 

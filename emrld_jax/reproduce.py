@@ -5,16 +5,27 @@ Trains what is not finished, then draws. Stopped at any point, the same command 
 
 from __future__ import annotations
 
+import os
 import sys
 from collections.abc import Sequence
 from functools import cache
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import jax
 
 from emrld_jax.runs import cli
 from emrld_jax.runs.config import TrainConfig, check_config
+from emrld_jax.runs.folder import RunFolder
 from emrld_jax.runs.help_texts import asks_for_help
 from emrld_jax.runs.usage import usage
 from emrld_jax.study.plan import ReproduceConfig, Study, programs, studies
 from emrld_jax.study.programs import Program
+
+if TYPE_CHECKING:
+    from rich.console import Console
+
+    from emrld_jax.study.running import Outcome
 
 EXAMPLES = (
     "figure=curves envs=[point2d] seeds=3",
@@ -60,32 +71,46 @@ def _carry_out(config: ReproduceConfig, planned: Sequence[Study]) -> int:
     from emrld_jax.runs.progress import tell  # noqa: PLC0415
     from emrld_jax.study.checking import check_runs  # noqa: PLC0415
     from emrld_jax.study.drawing import draw  # noqa: PLC0415
+
+    console, needed = Console(), programs(planned)
+    out = Path(config.out)
+    out.mkdir(parents=True, exist_ok=True)
+    with RunFolder(out).locked():
+        for note in check_runs(needed, _configured):
+            tell(console, f"note: {note}")
+        if config.draw:
+            draw(planned, config, console)
+            return 0
+        outcome = _train(config, needed, console)
+        if outcome.exit_code:
+            tell(console, "stopped; the same command goes on where it was")
+            return outcome.exit_code
+        for program, log in outcome.failed:
+            tell(console, f"not finished: {program.name}; see {log}")
+            for folder in program.diverged:
+                tell(console, f"  {folder.path} diverged")
+        draw(planned, config, console)
+    return 1 if outcome.failed else 0
+
+
+def _train(config: ReproduceConfig, needed: Sequence[Program], console: Console) -> Outcome:
+    """Trains what is not finished, telling how far it is."""
+    from emrld_jax.runs.progress import tell  # noqa: PLC0415
     from emrld_jax.study.launching import launch_all  # noqa: PLC0415
     from emrld_jax.study.running import run_all  # noqa: PLC0415
     from emrld_jax.study.watching import Watch  # noqa: PLC0415
 
-    console, needed = Console(), programs(planned)
-    if note := check_runs(needed, _configured):
-        tell(console, note)
-    if config.draw:
-        draw(planned, config, console)
-        return 0
     runs = sum(len(program.folders) for program in needed)
     done = sum(program.finished for program in needed)
     tell(console, f"{runs} runs in {len(needed)} programs, {done} of them finished already")
     watch = Watch(needed, lambda program: _configured(program).meta.iterations, console)
     if config.launcher:
-        outcome = launch_all(needed, config.launcher, watch)
-    else:
-        outcome = run_all(needed, watch)
-    if outcome.exit_code:
-        tell(console, "stopped; the same command goes on where it was")
-        return outcome.exit_code
-    for program, log in outcome.failed:
-        tell(console, f"not finished: {program.name}; see {log}")
-    draw(planned, config, console)
-    return 1 if outcome.failed else 0
+        return launch_all(needed, config.launcher, watch)
+    # an accelerator's memory is for one program at a time
+    return run_all(needed, watch, None if jax.default_backend() == "cpu" else 1)
 
 
 if __name__ == "__main__":
+    # others train: this process must not take an accelerator's memory for itself
+    os.environ.setdefault("XLA_PYTHON_CLIENT_PREALLOCATE", "false")
     cli.run_command(main)

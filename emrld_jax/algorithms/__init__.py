@@ -16,7 +16,7 @@ from emrld_jax.meta.learner import MetaLearner
 from emrld_jax.settings import Settings
 from envs_jax import Env
 
-__all__ = ["make", "names", "uses"]
+__all__ = ["make", "names", "starts_plain", "takes_demonstrations", "uses"]
 
 _ALGORITHMS: dict[str, Callable[[Env, Settings], MetaLearner]] = {
     function.__name__: function
@@ -42,8 +42,9 @@ _UNUSED = {
     "gmps": (*_WEIGHTS, *_WARM_START, *_TRPO, *_PROMP),
     "promp": (*_WEIGHTS, *_WARM_START, *_TRPO),
     "emaml": (*_WEIGHTS, *_WARM_START, *_GRADIENT),
-    "reptile": (*_WEIGHTS, *_WARM_START, *_TRPO, *_PROMP),
+    "reptile": (*_WEIGHTS, *_WARM_START, *_TRPO, *_PROMP, "adapt.first_order"),
 }
+_WITHOUT_DEMONSTRATIONS = ("maml", "promp", "emaml", "reptile")
 
 
 def names() -> tuple[str, ...]:
@@ -54,6 +55,19 @@ def names() -> tuple[str, ...]:
 def uses(name: str, setting: str) -> bool:
     """Whether this algorithm's results depend on the setting of this full name."""
     return setting not in _UNUSED[name]
+
+
+def takes_demonstrations(name: str) -> bool:
+    """Whether this algorithm's results depend on the demonstrations."""
+    return name not in _WITHOUT_DEMONSTRATIONS
+
+
+def starts_plain(name: str) -> bool:
+    """Whether the first episodes of its meta-iterations are those of the meta-policy as it is.
+
+    Others collect none before their adaptation, or begin with a warm start.
+    """
+    return name not in ("emrld_ws", "meta_bc")
 
 
 def make(name: str, env: Env, settings: Settings) -> MetaLearner:

@@ -8,7 +8,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from emrld_jax.analysis.groups import Group
+from emrld_jax.analysis.groups import Group, on_each_problem
 from emrld_jax.analysis.scores import references, scores
 from emrld_jax.analysis.statistics import (
     Estimate,
@@ -54,9 +54,11 @@ class Comparison(NamedTuple):
 def compare(groups: Sequence[Group], split: str, measure: str) -> list[Comparison]:
     """Over all shared problems, if they are several, then on each problem alone.
 
+    Algorithms without demonstrations stand beside those with each set of them.
     Returns are divided by the environment's reference (`scores.references`); an environment that
     has none is left out.
     """
+    groups = on_each_problem(groups)
     found = references(groups, split) if measure == "return" else {}
     table: dict[str, dict[Problem, np.ndarray]] = {}  # by label
     for group in groups:

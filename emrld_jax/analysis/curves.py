@@ -6,9 +6,11 @@ from typing import NamedTuple
 
 import numpy as np
 
+from emrld_jax import algorithms
 from emrld_jax.analysis.groups import Group
 from emrld_jax.analysis.loading import Run
 from emrld_jax.analysis.statistics import Statistic, iqm, pointwise
+from emrld_jax.runs.metrics import last_stage
 
 AXES = ("iterations", "env_steps", "seconds")  # what a curve may be drawn against
 POINTS = 120  # of a curve, at the most
@@ -40,12 +42,6 @@ def axis(run: Run, name: str) -> np.ndarray:
     raise ValueError(f"{name!r} is not an axis; there are {', '.join(AXES)}")
 
 
-def last_stage(run: Run) -> int:
-    """Number of the stage of training that comes after all adaptation steps."""
-    prefix = "adapt/return_"
-    return max(int(name.removeprefix(prefix)) for name in run.metrics if name.startswith(prefix))
-
-
 def curve(
     group: Group,
     measure: str = "return",
@@ -66,11 +62,13 @@ def curve(
         statistic: over seeds.
 
     Raises:
-        ValueError: no such axis.
+        ValueError: no such axis, or no episodes before adaptation (`algorithms.starts_plain`).
     """
+    if when == "before" and not algorithms.starts_plain(group.algorithm):
+        raise ValueError(f"{group.algorithm} collects nothing before adaptation")
     places = [axis(run, against) for run in group.runs]
     x = _common(places)
-    stages = [0 if when == "before" else last_stage(run) for run in group.runs]
+    stages = [0 if when == "before" else last_stage(run.metrics) for run in group.runs]
     each = np.array(
         [
             np.interp(x, own, run.metrics[f"adapt/{measure}_{stage}"])

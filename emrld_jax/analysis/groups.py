@@ -6,10 +6,13 @@ import json
 from collections.abc import Iterable, Sequence
 from typing import Any, NamedTuple
 
-from emrld_jax.analysis.loading import Loaded, Run, Skipped
+from emrld_jax.analysis.loading import NONE, Loaded, Run, Skipped
 
 # no part of what is trained: which run it is, where it computes and writes, how it is looked at
-FREE = ("seed", "runs", "resume", "num_seeds", "devices", "processes", "checkpoint_every", "demos")
+FREE = (
+    *("seed", "runs", "resume", "num_seeds", "devices", "processes", "checkpoint_every", "demos"),
+    "diagnostics",
+)
 FREE_SECTIONS = ("vmap", "distributed.")
 DEMOS_FILE = "demonstrations' SHA-256"
 COMMIT = "commit"
@@ -74,8 +77,34 @@ def group_runs(loaded: Loaded) -> Grouped:
         _group(runs, [other for other, _ in parts if _names(other[0]) == _names(runs[0])], apart)
         for runs, apart in parts
     ]
-    groups.sort(key=lambda group: (group.problem, group.label))
+    groups.sort(key=_order)
     return Grouped(groups, skipped, list(_notes(groups)))
+
+
+def on_each_problem(groups: Sequence[Group]) -> list[Group]:
+    """Groups without demonstrations once for each set of their environment's, if there is any.
+
+    So an algorithm that takes none can stand beside those that take some.
+    """
+    sets: dict[str, dict[str, None]] = {}
+    for group in groups:
+        if group.demonstrations != NONE:
+            sets.setdefault(group.environment, {})[group.demonstrations] = None
+    every = [
+        group._replace(demonstrations=own)
+        for group in groups
+        for own in (
+            sets.get(group.environment, {NONE: None})
+            if group.demonstrations == NONE
+            else [group.demonstrations]
+        )
+    ]
+    return sorted(every, key=_order)
+
+
+def _order(group: Group) -> tuple:
+    """By problem and label; those without demonstrations last."""
+    return group.environment, group.demonstrations == NONE, group.demonstrations, group.label
 
 
 def compared(run: Run) -> dict[str, Any]:
@@ -85,6 +114,8 @@ def compared(run: Run) -> dict[str, Any]:
         for name, value in run.settings.items()
         if name not in FREE and not name.startswith(FREE_SECTIONS)
     }
+    if run.demonstrations == NONE:
+        return settings
     return {**settings, DEMOS_FILE: str(run.provenance["demos"]["sha256"])[:10]}
 
 
@@ -92,11 +123,14 @@ def differing_settings(runs: Sequence[Run]) -> list[str]:
     """Names of the compared settings that are not the same in all of these runs."""
     all_settings = [compared(run) for run in runs]
     names = dict.fromkeys(name for settings in all_settings for name in settings)
-    return [
-        name
-        for name in names
-        if len({json.dumps(own.get(name, NOT_THERE), sort_keys=True) for own in all_settings}) > 1
-    ]
+    return [name for name in names if len(_values(name, all_settings)) > 1]
+
+
+def _values(name: str, all_settings: Sequence[dict[str, Any]]) -> set[str]:
+    """All values of a setting. (Runs without demonstrations do not differ from others in them.)"""
+    if name == DEMOS_FILE:
+        all_settings = [settings for settings in all_settings if name in settings]
+    return {json.dumps(own.get(name, NOT_THERE), sort_keys=True) for own in all_settings}
 
 
 def _names(run: Run) -> tuple[str, str, str]:

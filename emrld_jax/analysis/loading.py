@@ -12,12 +12,14 @@ from typing import Any, NamedTuple
 import numpy as np
 import yaml
 
+from emrld_jax import algorithms
 from emrld_jax.runs.config import ConfigError
 from emrld_jax.runs.folder import RunFolder
 from emrld_jax.runs.metrics import read_metrics
 from emrld_jax.runs.provenance import read_provenance
 from emrld_jax.runs.saved import by_full_name
 
+NONE = "none"  # in place of demonstrations, of algorithms that take none
 SPLITS = ("train", "test")  # training and held-out tasks
 PARTS = ("config.yaml", "metrics.jsonl", "results.json", "provenance.json")  # of a run folder
 NEEDED = ("algo", "demos", "seed", "env.name", "meta.iterations", "adapt.num_steps")
@@ -43,8 +45,9 @@ class Run(NamedTuple):
 
     @property
     def demonstrations(self) -> str:
-        """The quality of shipped demonstrations, or the name of a file."""
-        return Path(str(self.settings["demos"])).stem
+        """The quality of shipped demonstrations, or the name of a file; NONE if it takes none."""
+        taken = algorithms.takes_demonstrations(self.algorithm)
+        return Path(str(self.settings["demos"])).stem if taken else NONE
 
     @property
     def seed(self) -> int:

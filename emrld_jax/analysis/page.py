@@ -15,9 +15,17 @@ from urllib.parse import quote
 
 import numpy as np
 
+from emrld_jax import algorithms
 from emrld_jax.analysis.comparisons import THRESHOLDS, Comparison, compare
 from emrld_jax.analysis.curves import AXES, Curve, curve
-from emrld_jax.analysis.groups import DEMOS_FILE, Group, Grouped, compared, differing_settings
+from emrld_jax.analysis.groups import (
+    DEMOS_FILE,
+    Group,
+    Grouped,
+    compared,
+    differing_settings,
+    on_each_problem,
+)
 from emrld_jax.analysis.loading import SPLITS, Run
 from emrld_jax.analysis.paths import RUNS_DRAWN, drawn_runs
 from emrld_jax.analysis.scores import MEASURES, Cell, Row, adaptations, headline
@@ -79,7 +87,7 @@ def report_data(grouped: Grouped, path: Path, title: str) -> dict[str, Any]:
         "resamples": RESAMPLES,
         "notes": [*grouped.notes, *notes],
         "skipped": [{"path": str(s.path), "reason": s.reason} for s in grouped.skipped],
-        "groups": [_group(group, row) for group, row in zip(groups, rows, strict=True)],
+        "groups": [_group(group, row, groups) for group, row in zip(groups, rows, strict=True)],
         "comparisons": [
             _comparison(comparison)
             for measure in MEASURES
@@ -103,8 +111,12 @@ def report_data(grouped: Grouped, path: Path, title: str) -> dict[str, Any]:
     }
 
 
-def _group(group: Group, row: Row) -> dict[str, Any]:
+def _group(group: Group, row: Row, groups: Sequence[Group]) -> dict[str, Any]:
+    plain = algorithms.starts_plain(group.algorithm)
     return {
+        "problems": [
+            ", ".join(own.problem) for own in on_each_problem(groups) if own.runs is group.runs
+        ],
         "environment": group.environment,
         "demonstrations": group.demonstrations,
         "label": group.label,
@@ -120,6 +132,7 @@ def _group(group: Group, row: Row) -> dict[str, Any]:
                 f"{measure}/{when}": _curve(curve(group, measure, when, against))
                 for measure in MEASURES
                 for when in ("before", "after")
+                if plain or when == "after"
             }
             for against in AXES
         },

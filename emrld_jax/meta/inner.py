@@ -41,10 +41,14 @@ def likelihood_ratio_loss(policy: Policy, params: Params, rollout: Rollout) -> j
 
     Where the two are equal its gradient is the policy gradient; its second derivatives also hold
     how the distribution of actions depends on the parameters (ProMP, Rothfuss et al. 2019).
+    The ratio is that of whole actions. It is divided by the number of their dimensions, so that
+    inner rates are those of `policy_gradient_loss`, which takes the mean over dimensions.
     """
     steps = rollout.trajectory
+    size = steps.action.shape[-1]
     density = log_prob(policy.apply(params, steps.obs), steps.action)
-    return -masked_mean(rollout.advantage * jnp.exp(density - steps.log_prob), steps.mask)
+    ratio = jnp.exp(size * (density - steps.log_prob))
+    return -masked_mean(rollout.advantage * ratio, steps.mask) / size
 
 
 def demonstration_loss(policy: Policy, params: Params, demos: Demos) -> jax.Array:

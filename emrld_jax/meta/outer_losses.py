@@ -76,16 +76,19 @@ def adapted_demonstrations() -> OuterLoss:
 def clipped_surrogate(clip: float | jax.Array, kl_penalty: float | jax.Array) -> OuterLoss:
     """The clipped surrogate of the adapted policies, kept near the policies before (ProMP).
 
+    Ratios are those of whole actions; the surrogate is divided by the number of their dimensions.
+
     Args:
         clip: how far from 1 a ratio may go before its step says no more.
         kl_penalty: weight of KL(old || new) of the policies that adaptation collected with.
     """
 
     def clipped(new: Gaussian, old: Gaussian, rollout: Rollout) -> jax.Array:
-        ratio = _ratio(new, old, rollout)
+        size = rollout.trajectory.action.shape[-1]
+        ratio = _ratio(new, old, rollout) ** size
         bounded = jnp.clip(ratio, 1.0 - clip, 1.0 + clip)
         gain = jnp.minimum(ratio * rollout.advantage, bounded * rollout.advantage)
-        return -masked_mean(gain, rollout.trajectory.mask)
+        return -masked_mean(gain, rollout.trajectory.mask) / size
 
     def strayed(new: Gaussian, old: Gaussian, rollout: Rollout) -> jax.Array:
         return divergence(old, new, rollout)
@@ -136,22 +139,24 @@ def distance_to_adapted() -> OuterLoss:
 
     def outputs(
         policy: Policy, path: Path, experience: Experience, demos: Demos
-    ) -> tuple[Params, Params]:
-        return path[0], jax.lax.stop_gradient(path[-1])
+    ) -> tuple[tuple[Params, Params], Gaussian]:
+        adapted = policy.apply(path[-1], experience.outer.trajectory.obs)
+        return (path[0], jax.lax.stop_gradient(path[-1])), adapted
 
     def loss(
-        new: tuple[Params, Params], old: Any, experience: Experience, demos: Demos, average: Average
+        new: tuple[tuple[Params, Params], Gaussian],
+        old: Any,
+        experience: Experience,
+        demos: Demos,
+        average: Average,
     ) -> jax.Array:
-        return jnp.mean(_squared_distance(*new))
+        return jnp.mean(_squared_distance(*new[0]))
 
-    def moved(new: Any, old: Any, experience: Experience, demos: Demos) -> jax.Array:
-        return jnp.mean(_squared_distance(new[0], old[0]))
-
-    return OuterLoss(outputs, loss, moved)
+    return OuterLoss(outputs, loss, _moved_after)
 
 
 def _ratio(new: Gaussian, old: Gaussian, rollout: Rollout) -> jax.Array:
-    """How much likelier a new policy makes each action. [S]."""
+    """How much likelier a new policy makes each action, a dimension (geometric mean). [S]."""
     action = rollout.trajectory.action
     return jnp.exp(log_prob(new, action) - log_prob(old, action))
 
@@ -184,8 +189,9 @@ def _mean_before(
 
 
 def _moved_after(
-    new: tuple[Before, Gaussian], old: tuple[Before, Gaussian], experience: Experience, demos: Demos
+    new: tuple[Any, Gaussian], old: tuple[Any, Gaussian], experience: Experience, demos: Demos
 ) -> jax.Array:
+    """How far the adapted policies have moved, which are the second output."""
     return _mean(divergence, new[1], old[1], experience.outer)
 
 

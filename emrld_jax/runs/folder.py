@@ -28,6 +28,7 @@ class RunFolder:
         self.checkpoints = path / "checkpoints"
         self.episodes = path / "episodes"
         self.results = path / "results.json"
+        self.diverged = path / "diverged.json"  # that it cannot go on, and why
         self.evaluations = path / "evaluations"
 
     @property

@@ -9,24 +9,27 @@ from typing import Any
 import numpy as np
 from matplotlib.figure import Figure
 
+from emrld_jax.algorithms import starts_plain
 from emrld_jax.runs.metrics import Record, last_stage
 from emrld_jax.runs.panels import AFTER, BEFORE, Panel, save
 from emrld_jax.runs.plane import is_planar, trajectories
 from emrld_jax.runs.strides import is_runner, strides
 from envs_jax import Env
 
+AFTERWARDS = "after adaptation"
 SOME = 3  # paths of a task that are drawn: more hide each other
 
 
-def learning_curve(records: Sequence[Record], title: str, path: Path) -> None:
+def learning_curve(records: Sequence[Record], algo: str, title: str, path: Path) -> None:
     """Return and success, before and after adaptation, against meta-iterations."""
+    first = "before adaptation" if starts_plain(algo) else "after the warm start"
     figure = Figure(figsize=(9, 3.6), layout="constrained")
     iterations = [record["iteration"] + 1 for record in records]
     last = last_stage(records[-1])
     for axes, name in zip(figure.subplots(1, 2), ("return", "success"), strict=True):
-        for stage, color, label in ((0, BEFORE, "before"), (last, AFTER, "after")):
+        for stage, color, label in [(0, BEFORE, first)] * (last > 0) + [(last, AFTER, AFTERWARDS)]:
             values = [record[f"adapt/{name}_{stage}"] for record in records]
-            axes.plot(iterations, values, color=color, label=f"{label} adaptation", linewidth=1.5)
+            axes.plot(iterations, values, color=color, label=label, linewidth=1.5)
         axes.set(xlabel="meta-iteration", ylabel=f"mean {name}, training tasks")
         axes.grid(alpha=0.3)
     axes.set_ylim(-0.03, 1.03)

@@ -84,8 +84,9 @@ def figures(records: Sequence[Record]) -> str:
     stages = range(last + 1)
     # runs of older versions did not count them
     broken = fmean(r.get(f"adapt/diverged_{k}", 0.0) for r in records for k in stages)
+    before = f"{mean('adapt/return_0'):.1f} -> " * (last > 0)
     return (
-        f"return {mean('adapt/return_0'):.1f} -> {mean(f'adapt/return_{last}'):.1f}  "
+        f"return {before}{mean(f'adapt/return_{last}'):.1f}  "
         f"success {mean(f'adapt/success_{last}'):.0%}  KL {mean('outer/kl'):.4f}"
         + f"  {broken:.2%} of simulations broke down" * (broken > 0)
         + f"  (mean of {len(records)} runs)" * (len(records) > 1)

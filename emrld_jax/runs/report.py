@@ -84,7 +84,7 @@ def _report(
                 kept[split] = kept_episodes(setup.env, demos, evaluation, numbers)
     title = f"{config.env.name}, {config.algo}, {setup.demos.quality} demonstrations"
     records = read_metrics(folder.metrics)
-    learning_curve(records, title, folder.path / "learning_curve")
+    learning_curve(records, config.algo, title, folder.path / "learning_curve")
     if config.diagnostics:
         theory(records, title, folder.path / "theory")
     draw_episodes(setup.env, panels, title, folder.path)

@@ -117,8 +117,8 @@ def tell_where(
 
 
 def _start(setup: Setup, folder: RunFolder) -> Progressed:
-    save_config(setup.config, folder.config)
     write_json(folder.provenance, {**provenance(setup.demos_path), "resumed": []})
+    save_config(setup.config, folder.config)  # last: a folder that has it is a run
     return initial(setup)
 
 
@@ -150,6 +150,7 @@ def _continue(
                 checkpoints.drop_after(common)
             drop_after(folder, common)
             folder.results.unlink(missing_ok=True)
+            folder.diverged.unlink(missing_ok=True)
             save_config(plan.setup.config, folder.config)
             write_json(folder.provenance, {**record, "resumed": [*record["resumed"], now]})
     return restored

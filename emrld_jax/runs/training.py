@@ -14,6 +14,7 @@ from rich.console import Console
 from emrld_jax.runs import machines
 from emrld_jax.runs.config import ConfigError, TrainConfig
 from emrld_jax.runs.episodes import EpisodeKeeper
+from emrld_jax.runs.files import write_json
 from emrld_jax.runs.folder import RunFolder, resume_commands
 from emrld_jax.runs.iteration import DivergenceError, Standing, Together, initial
 from emrld_jax.runs.progress import ProgressView, figures, tell, tell_some
@@ -190,6 +191,8 @@ def _tell_of_divergence(
     error: DivergenceError, folders: Sequence[RunFolder], console: Console
 ) -> None:
     """Which runs cannot go on, and how the others can."""
+    for k in error.runs:
+        write_json(folders[k].diverged, {"error": str(error)})
     if len(folders) > 1:
         paths = [folder.path for k, folder in enumerate(folders) if k in error.runs]
         tell_some(console, "{} diverged", paths)

@@ -5,8 +5,9 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from pathlib import Path
 
+from emrld_jax.analysis import groups
 from emrld_jax.runs.config import ConfigError, TrainConfig
-from emrld_jax.runs.provenance import code_version, read_provenance
+from emrld_jax.runs.provenance import code_version, read_provenance, sha256
 from emrld_jax.runs.saved import load_config
 from emrld_jax.runs.setup import set_up
 from emrld_jax.runs.usage import leaves
@@ -14,10 +15,12 @@ from emrld_jax.runs.variants import variants
 from emrld_jax.settings import value
 from emrld_jax.study.programs import Program
 
-FREE = ("runs", "seed", "checkpoint_every")
+FREE = (*groups.FREE, "evaluation_episodes")
 
 
-def check_runs(programs: Sequence[Program], configured: Callable[[Program], TrainConfig]) -> str:
+def check_runs(
+    programs: Sequence[Program], configured: Callable[[Program], TrainConfig]
+) -> list[str]:
     """Refuses runs of other settings than the study's.
 
     Args:
@@ -25,39 +28,56 @@ def check_runs(programs: Sequence[Program], configured: Callable[[Program], Trai
         configured: a program's configuration, as its command line says.
 
     Returns:
-        A note, if runs that have begun are of other commits than the present one; else nothing.
+        What to know of the runs that are there: which cannot be read, and which are of another
+        commit, of other demonstrations, or of code with changes that were not committed.
 
     Raises:
         ConfigError: a run differs; names the setting, what it is there and what it should be.
     """
-    begun = [p for p in programs if any(folder.config.is_file() for folder in p.folders)]
-    for program in begun:
-        _check_settings(program, configured(program))
-    paths = [f.path for p in begun for f in p.folders if f.config.is_file()]
-    now = code_version().get("commit")
-    other = sorted({str(c)[:10] for path in paths if (c := _commit(path)) != now})
-    if not other:
-        return ""
-    return f"note: some runs are of other commits of the code: {', '.join(other)}"
+    notes: list[str] = []
+    for program in programs:
+        if any(folder.config.is_file() for folder in program.folders):
+            notes += _check(program, configured(program))
+    return notes
 
 
-def _check_settings(program: Program, config: TrainConfig) -> None:
-    wanted = {
-        program.folder(own.seed, tuple(value(own, number) for number, _ in program.grid)).path: own
-        for own in (variant.config for variant in variants(set_up(config).config))
-    }
-    for path, own in wanted.items():
-        if not (path / "config.yaml").is_file():
+def _check(program: Program, config: TrainConfig) -> list[str]:
+    """Refuses a program's runs, or tells of them."""
+    setup, notes = set_up(config), []
+    now = code_version(), sha256(setup.demos_path)
+    for own in (variant.config for variant in variants(setup.config)):
+        point = tuple(value(own, number) for number, _ in program.grid)
+        folder = program.folder(own.seed, point)
+        if not folder.config.is_file():
             continue
-        there = load_config(path / "config.yaml")
-        for name in leaves(own):
-            if name not in FREE and value(there, name) != value(own, name):
-                raise ConfigError(
-                    f"{path} has {name}={value(there, name)}, but this study needs "
-                    f"{value(own, name)}: take another folder with out=.., or move this run away"
-                )
+        try:
+            there, record = load_config(folder.config), read_provenance(folder.provenance)
+        except ConfigError as error:
+            notes.append(f"cannot be used: {error}")
+            continue
+        _check_settings(folder.path, there, own)
+        notes += _origin(folder.path, record, *now)
+    return notes
 
 
-def _commit(path: Path) -> str | None:
-    commit: str | None = read_provenance(path / "provenance.json")["code"].get("commit")
-    return commit
+def _check_settings(path: Path, there: TrainConfig, wanted: TrainConfig) -> None:
+    for name in leaves(wanted):
+        if name not in FREE and value(there, name) != value(wanted, name):
+            raise ConfigError(
+                f"{path} has {name}={value(there, name)}, but this study needs "
+                f"{value(wanted, name)}: take another folder with out=.., or move this run away"
+            )
+
+
+def _origin(path: Path, record: dict, code: dict, demos: str) -> list[str]:
+    """What differs between how a run began and now."""
+    notes = []
+    if record["demos"]["sha256"] != demos:
+        notes.append(
+            f"{path}: of other demonstrations than {record['demos'].get('path')} holds now"
+        )
+    for began in (record, *record["resumed"]):
+        if (own := began["code"]) != code:
+            words = f"{str(own.get('commit'))[:10]}{'+' * bool(own.get('dirty'))}"
+            notes.append(f"{path}: of another version of the code, {words}")
+    return notes

@@ -7,15 +7,18 @@ from pathlib import Path
 
 from rich.console import Console
 
-from emrld_jax.analysis.groups import Grouped, group_runs
+from emrld_jax.analysis.groups import Group, Grouped, group_runs
 from emrld_jax.analysis.loading import Loaded, Run, load_runs
 from emrld_jax.analysis.page import write_report
 from emrld_jax.runs.files import write_json, write_text
 from emrld_jax.runs.progress import tell
 from emrld_jax.runs.provenance import machine, typed_command
 from emrld_jax.study import figures, tables
-from emrld_jax.study.plan import MAIN, ReproduceConfig, Study
+from emrld_jax.study.plan import MAIN, ReproduceConfig, Study, programs
 from emrld_jax.study.programs import Program
+from emrld_jax.study.running import took
+
+RESULTS = "results"  # names of the files of the comparison of algorithms
 
 
 def draw(planned: Sequence[Study], config: ReproduceConfig, console: Console) -> None:
@@ -25,69 +28,74 @@ def draw(planned: Sequence[Study], config: ReproduceConfig, console: Console) ->
         OSError: a file cannot be written.
     """
     out = Path(config.out)
-    grouped = _finished([program for study in planned for program in study.programs])
-    for path, reason in grouped.skipped:
+    loaded = _begun(programs(planned))
+    for path, reason in loaded.skipped:
         tell(console, f"left out: {path}: {reason}")
-    for note in grouped.notes:
-        tell(console, f"note: {note}")
-    if not grouped.groups:
+    if not loaded.runs:
         tell(console, "nothing is finished yet: no figure is drawn")
         return
     for study in planned:
-        _draw(study, out / study.figure)
-    compared = _finished(_main(planned)).groups
-    write_text(out / "results.csv", tables.results_csv(grouped.groups))
-    write_text(out / "results.md", tables.results_markdown(grouped.groups))
-    write_text(out / "improvements.md", tables.improvements_markdown(compared))
-    write_json(out / "study.json", _origin(grouped, config))
-    write_report(grouped, out / "report.html", "Reproduction of the paper's figures")
-    tell(console, f"{out}: figures, tables (results.md, results.csv), report.html")
+        if groups := _grouped(loaded, study.programs).groups:
+            for note in _draw(study.figure, groups, out / study.figure):
+                tell(console, note)
+    for name, own in _reports(planned).items():
+        if (grouped := _grouped(loaded, own)).groups:
+            for note in grouped.notes:
+                tell(console, f"note: {note}")
+            write_text(out / f"{name}.csv", tables.results_csv(grouped.groups))
+            write_text(out / f"{name}.md", tables.results_markdown(grouped.groups))
+            write_report(grouped, out / f"{name}.html", f"Reproduction: {name}")
+    if compared := _grouped(loaded, _reports(planned)[RESULTS]).groups:
+        write_text(out / "improvements.md", tables.improvements_markdown(compared))
+    write_json(out / "study.json", _origin(loaded.runs, config))
+    tell(console, f"{out}: figures, tables ({RESULTS}.md, .csv), the report ({RESULTS}.html)")
 
 
-def _draw(study: Study, path: Path) -> None:
-    """One figure of the paper, from those of its runs that are finished."""
-    groups = _finished(study.programs).groups
-    if not groups:
-        return
-    if study.figure == "curves":
+def _draw(figure: str, groups: Sequence[Group], path: Path) -> list[str]:
+    """One figure of the paper; what to know of it."""
+    if figure == "curves":
         for against in figures.AXES:
             figures.draw_curves(groups, against, path.with_name(f"{path.name}_{against}"))
-    elif study.figure == "trajectories":
-        figures.draw_trajectories(figures.by_algorithm(groups), path)
-    elif study.figure == "sensitivity":
+    elif figure == "trajectories":
+        return figures.draw_trajectories(figures.by_algorithm(groups), path)
+    elif figure == "sensitivity":
         figures.draw_lines(figures.sensitivity_panels(groups), path)
     else:
         figures.draw_lines(figures.ablation_panels(groups), path)
+    return []
 
 
-def _main(planned: Sequence[Study]) -> list[Program]:
-    """Programs of the comparison of algorithms, which have no settings of their own."""
-    return [p for study in planned for p in study.programs if p.runs.name == MAIN]
+def _reports(planned: Sequence[Study]) -> dict[str, list[Program]]:
+    """The programs of each report: the comparison of algorithms, and that of weights.
+
+    Apart, since settings that differ become a part of a line's name.
+    """
+    main = [p for p in programs(planned) if p.runs.name == MAIN]
+    weights = [s for s in planned if s.figure in ("sensitivity", "ablation")]
+    return {RESULTS: main, "weights": programs(weights)}
 
 
-def _finished(programs: Sequence[Program]) -> Grouped:
+def _begun(own: Sequence[Program]) -> Loaded:
     """The programs' own runs, of those that have begun."""
-    folders = [folder for program in dict.fromkeys(programs) for folder in program.folders]
-    begun = [folder.path for folder in folders if folder.config.is_file()]
-    return group_runs(load_runs(begun) if begun else Loaded([], []))
+    folders = [folder for program in own for folder in program.folders]
+    paths = [folder.path for folder in folders if folder.config.is_file()]
+    return load_runs(paths) if paths else Loaded([], [])
 
 
-def _origin(grouped: Grouped, config: ReproduceConfig) -> dict[str, object]:
+def _grouped(loaded: Loaded, own: Sequence[Program]) -> Grouped:
+    """Those of the runs that belong to some programs."""
+    paths = {folder.path for program in own for folder in program.folders}
+    return group_runs(Loaded([run for run in loaded.runs if run.path in paths], []))
+
+
+def _origin(runs: Sequence[Run], config: ReproduceConfig) -> dict[str, object]:
     """Where the figures come from, and what they took."""
-    runs = [run for group in grouped.groups for run in group.runs]
     return {
         "command": typed_command(),
         "machine": machine(),
         "commits": sorted({commit for run in runs for commit in run.commits}),
         "seeds": config.seeds,
         "runs": len(runs),
-        "lines": len(grouped.groups),
         "env_steps": sum(float(run.metrics["sampling/env_steps"][-1]) for run in runs),
-        "core_hours_of_training": sum(_seconds(runs)) / 3600,
+        **took(Path(config.out) / "runs"),
     }
-
-
-def _seconds(runs: Sequence[Run]) -> list[float]:
-    """Of each program: runs that trained side by side have one clock."""
-    clocks = {run.metrics["time/iteration_s"].tobytes(): run.seconds for run in runs}
-    return list(clocks.values())

@@ -12,12 +12,12 @@ from matplotlib.figure import Figure
 from matplotlib.patches import Circle
 
 from emrld_jax.analysis.curves import curve
-from emrld_jax.analysis.groups import Group
+from emrld_jax.analysis.groups import Group, on_each_problem
+from emrld_jax.runs.config import ConfigError
 from emrld_jax.runs.episodes import FINAL, read_episodes
 from emrld_jax.runs.panels import BEFORE, save
-from emrld_jax.study.plan import takes_demonstrations
 
-COLORS = {
+COLORS = {  # of others, "black"
     "emrld": "#1f5fa8",
     "emrld_ws": "#d1622b",
     "maml": "#6b6b6b",
@@ -42,15 +42,16 @@ class Line(NamedTuple):
 
 def draw_curves(groups: Sequence[Group], against: str, path: Path) -> None:
     """Return after adaptation: a row an environment, a column a set of demonstrations."""
+    groups = on_each_problem(groups)
     envs = _in_order(group.environment for group in groups)
     demos = _in_order(group.demonstrations for group in groups)
     figure = Figure(figsize=(5.2 * len(demos), 3.2 * len(envs)), layout="constrained")
     grid = figure.subplots(len(envs), len(demos), squeeze=False)
     for row, env in zip(grid, envs, strict=True):
         for axes, quality in zip(row, demos, strict=True):
-            own = [g for g in groups if g.environment == env and _belongs(g, quality)]
-            lines = [Line(g, g.label, COLORS[g.algorithm]) for g in by_algorithm(own)]
-            _demonstrated(axes, [g for g in own if g.demonstrations == quality])
+            own = [g for g in groups if g.problem == (env, quality)]
+            lines = [Line(g, g.label, COLORS.get(g.algorithm, "black")) for g in by_algorithm(own)]
+            _demonstrated(axes, own)
             _panel(axes, lines, f"{env}, {quality} demonstrations", against)
     save(figure, path)
 
@@ -67,13 +68,22 @@ def draw_lines(panels: Sequence[tuple[str, Sequence[Line]]], path: Path) -> None
     save(figure, path)
 
 
-def draw_trajectories(groups: Sequence[Group], path: Path) -> None:
-    """Where adapted policies go under the drift of the robot experiment, a panel an algorithm."""
+def draw_trajectories(groups: Sequence[Group], path: Path) -> list[str]:
+    """Where adapted policies go under the drift of the robot experiment, a panel an algorithm.
+
+    Returns:
+        Which runs are not in it, and why.
+    """
+    left_out: list[str] = []
     figure = Figure(figsize=(3.6 * len(groups), 3.6), layout="constrained")
     grid = figure.subplots(1, len(groups), squeeze=False, sharex=True, sharey=True)
     for axes, group in zip(grid.flat, groups, strict=True):
         for run in group.runs:
-            about, kept = read_episodes(run.path / "episodes" / f"{FINAL}.npz")
+            try:
+                about, kept = read_episodes(run.path / "episodes" / f"{FINAL}.npz")
+            except ConfigError as error:
+                left_out.append(f"left out of the trajectories: {error}")
+                continue
             task = {name: x[DRIFT] for name, x in kept["test"]._asdict().items()}
             _trajectories(axes, task, float(about["zone"]))
         seeds = len(group.runs)
@@ -83,6 +93,7 @@ def draw_trajectories(groups: Sequence[Group], path: Path) -> None:
     grid.flat[0].set_ylabel("y (m)")
     figure.suptitle("Drift -0.65 rad a step. Gray: before adaptation; dashed: the demonstration")
     save(figure, path)
+    return left_out
 
 
 def _trajectories(axes: Axes, task: dict[str, Any], zone: float) -> None:
@@ -114,19 +125,16 @@ def _panel(axes: Axes, lines: Sequence[Line], title: str, against: str) -> None:
 
 def _demonstrated(axes: Axes, groups: Sequence[Group]) -> None:
     """What the demonstrations return, as a dashed line."""
-    if groups:
-        shown = groups[0].runs[0].results["train"]["demonstrations"]["return"]
+    own = [g for g in groups if g.runs[0].demonstrations == g.demonstrations]
+    if own:
+        shown = own[0].runs[0].results["train"]["demonstrations"]["return"]
         axes.axhline(shown, color="black", linestyle="--", linewidth=0.8, label="demonstrations")
-
-
-def _belongs(group: Group, quality: str) -> bool:
-    """Algorithms that take no demonstrations stand in every column."""
-    return group.demonstrations == quality or not takes_demonstrations(group.algorithm)
 
 
 def by_algorithm(groups: Sequence[Group]) -> list[Group]:
     """In the order of COLORS."""
-    return sorted(groups, key=lambda group: list(COLORS).index(group.algorithm))
+    order = {name: k for k, name in enumerate(COLORS)}
+    return sorted(groups, key=lambda group: order.get(group.algorithm, len(order)))
 
 
 def _in_order(names: Iterable[str]) -> list[str]:

@@ -2,15 +2,16 @@
 
 from __future__ import annotations
 
+import signal
 import subprocess
 import sys
 import time
 from collections.abc import Callable, Sequence
-from pathlib import Path
+from contextlib import ExitStack
 
 from emrld_jax.runs.signals import StopSignals
 from emrld_jax.study.programs import Program
-from emrld_jax.study.running import POLL_S, Outcome, log_of
+from emrld_jax.study.running import POLL_S, Outcome, log_of, run_all
 
 
 def sweeps(programs: Sequence[Program], launcher: str) -> list[list[str]]:
@@ -37,24 +38,33 @@ def _arguments(same: Program, envs: Sequence[str], algos: Sequence[str]) -> list
 def launch_all(
     programs: Sequence[Program], launcher: str, watch: Callable[[Sequence[Program], float], None]
 ) -> Outcome:
-    """Hands over what has not begun, all at once, and waits; what has begun is not continued."""
+    """Hands over what has not begun, all at once, and waits; what has begun is not continued.
+
+    Then the runs are evaluated, here.
+    """
     new = [p for p in programs if not any(folder.config.is_file() for folder in p.folders)]
     start = time.monotonic()
-    with StopSignals() as stop:
-        children = [
-            subprocess.Popen(
+    with StopSignals() as stop, ExitStack() as ending:
+        children = []
+        for arguments in sweeps(new, launcher):
+            child = subprocess.Popen(
                 [sys.executable, "-m", "emrld_jax.sweep", *arguments], stdin=subprocess.DEVNULL
             )
-            for arguments in sweeps(new, launcher)
-        ]
-        while any(child.poll() is None for child in children):
+            ending.callback(_end, child)
+            children.append(child)
+        while stop.received is None and any(child.poll() is None for child in children):
             time.sleep(POLL_S)
             watch(new, time.monotonic() - start)
-            if stop.received is not None:
-                for child in children:
-                    child.send_signal(stop.received)
-                break
-        for child in children:
-            child.wait()
-    failed: list[tuple[Program, Path]] = [(p, log_of(p)) for p in programs if not p.finished]
-    return Outcome(failed, stop.exit_code)
+    if stop.received is not None:
+        return Outcome([], stop.exit_code)
+    trained = [p for p in programs if all(folder.finished for folder in p.folders)]
+    evaluated = run_all(trained, watch)
+    left = [(p, log_of(p)) for p in programs if p not in trained]
+    return Outcome([*evaluated.failed, *left], evaluated.exit_code)
+
+
+def _end(child: subprocess.Popen) -> None:
+    """Asks a sweep to stop, if it goes on, and waits for it."""
+    if child.poll() is None:
+        child.send_signal(signal.SIGTERM)
+    child.wait()

@@ -86,11 +86,6 @@ def programs(planned: Sequence[Study]) -> list[Program]:
     return list(dict.fromkeys(program for study in planned for program in study.programs))
 
 
-def takes_demonstrations(algo: str) -> bool:
-    """Whether an algorithm's results depend on the demonstrations."""
-    return algo not in ("maml", "promp", "emaml", "reptile")
-
-
 def _program(
     config: ReproduceConfig,
     group: str,
@@ -108,7 +103,7 @@ def _program(
 def _curves(config: ReproduceConfig) -> list[Program]:
     """Of an algorithm without demonstrations one line stands for both sets."""
     pairs = [(demos, algo) for demos in config.qualities for algo in config.algos]
-    own = [p for p in pairs if takes_demonstrations(p[1]) or p[0] == config.qualities[0]]
+    own = [p for p in pairs if algorithms.takes_demonstrations(p[1]) or p[0] == config.qualities[0]]
     return [_program(config, MAIN, env, *pair) for env in config.envs for pair in own]
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import shutil
 import sys
 from itertools import groupby, product
 from pathlib import Path
@@ -10,6 +11,7 @@ from typing import NamedTuple
 
 from emrld_jax.runs.folder import RunFolder
 
+BEFORE_CONFIG = (".lock", "provenance.json")  # files of a run that has no config.yaml yet
 EPISODES = 50  # a task, of an evaluation after several adaptation steps
 
 Grid = tuple[tuple[str, tuple[float, ...]], ...]  # numbers by name, and the values of each
@@ -56,14 +58,28 @@ class Program(NamedTuple):
     def finished(self) -> bool:
         return all(folder.finished for folder in self.folders) and not self._unevaluated
 
+    @property
+    def diverged(self) -> list[RunFolder]:
+        """Of its runs that cannot go on."""
+        return [folder for folder in self.folders if folder.diverged.is_file()]
+
+    def clear(self) -> None:
+        """Removes what a killed process has left of runs that had not begun yet."""
+        for folder in self.folders:
+            if folder.path.is_dir() and not folder.config.is_file():
+                left = list(folder.path.iterdir())
+                if all(file.name in BEFORE_CONFIG for file in left):
+                    shutil.rmtree(folder.path)
+
     def commands(self) -> list[list[str]]:
         """The command lines that finish it: of what has begun, and of what has not."""
         train = [sys.executable, "-m", "emrld_jax.train"]
         begun = [f for f in self.folders if f.config.is_file() and not f.finished]
-        paths = os.pathsep.join(str(folder.path) for folder in begun)
-        resumed = [[*train, f"resume={paths}"]] if begun else []
+        going = [str(folder.path) for folder in begun if not folder.diverged.is_file()]
+        resumed = [[*train, f"resume={os.pathsep.join(going)}"]] if going else []
         new = [[*train, *self.arguments(first, n)] for first, n in self._new()]
-        return [*resumed, *new, *map(self._evaluation, self._unevaluated)]
+        rest = [[*train, *self._one_point(p).arguments(seed, 1)] for seed, p in self._left_out()]
+        return [*resumed, *new, *rest, *map(self._evaluation, self._unevaluated)]
 
     def arguments(self, seed: int, num_seeds: int) -> list[str]:
         """Of `emrld_jax.train`, for some seeds in a row."""
@@ -79,7 +95,8 @@ class Program(NamedTuple):
     def _unevaluated(self) -> list[RunFolder]:
         """Runs that have no evaluation after `steps` adaptation steps."""
         name = f"test-steps{self.steps}-*/evaluation.json"
-        return [f for f in self.folders if self.steps and not any(f.evaluations.glob(name))]
+        there = [f for f in self.folders if not f.diverged.is_file()]
+        return [f for f in there if self.steps and not any(f.evaluations.glob(name))]
 
     def _evaluation(self, folder: RunFolder) -> list[str]:
         chosen = [f"run={folder.path}", "tasks=test", f"adapt.num_steps={self.steps}"]
@@ -90,6 +107,18 @@ class Program(NamedTuple):
         new = [seed for seed in self.seeds if not any(self._begun(seed, p) for p in self.points)]
         rows = [list(row) for _, row in groupby(enumerate(new), lambda pair: pair[1] - pair[0])]
         return [(row[0][1], len(row)) for row in rows]
+
+    def _left_out(self) -> list[tuple[int, Point]]:
+        """Points that have not begun, of seeds that have at others."""
+        pairs = [
+            (seed, [p for p in self.points if not self._begun(seed, p)]) for seed in self.seeds
+        ]
+        return [(s, p) for s, missing in pairs if len(missing) < len(self.points) for p in missing]
+
+    def _one_point(self, point: Point) -> Program:
+        """The same at one point of the grid."""
+        numbers = (number for number, _ in self.grid)
+        return self._replace(grid=tuple((n, (x,)) for n, x in zip(numbers, point, strict=True)))
 
     def _begun(self, seed: int, point: Point) -> bool:
         return self.folder(seed, point).config.is_file()

@@ -55,12 +55,12 @@ class Watch:
             tell(self._console, f"  {program.name}: {self._standing(program)}")
 
     def _weight(self, program: Program) -> float:
-        return WEIGHT[program.env] * self._programs[program] * len(program.folders)
+        return WEIGHT.get(program.env, 1.0) * self._programs[program] * len(program.folders)
 
     def _done(self) -> float:
         """Weight of the iterations that are done."""
         return sum(
-            WEIGHT[program.env] * min(_lines(folder.metrics), iterations)
+            WEIGHT.get(program.env, 1.0) * min(_lines(folder.metrics), iterations)
             for program, iterations in self._programs.items()
             for folder in program.folders
         )

@@ -22,6 +22,7 @@ from emrld_jax.meta.outer_losses import (
     exploring_surrogate,
 )
 from emrld_jax.meta.trpo import trpo
+from emrld_jax.policy import Policy
 from emrld_jax.types import Experience, Gaussian, Rollout
 from tests.meta.problems import TASKS, random_demos, random_rollout, small_policy, stacked
 
@@ -96,9 +97,10 @@ def test_the_clipped_surrogate_with_its_penalty() -> None:
 
     def gain(m: int, s: int) -> float:
         action, advantage = outer.trajectory.action, float(outer.advantage[m, s])
-        ratio = np.exp(density(after[0], action, m, s) - density(after[1], action, m, s))
+        # densities are means over the two dimensions; the ratio is that of whole actions
+        ratio = np.exp(2 * (density(after[0], action, m, s) - density(after[1], action, m, s)))
         ratios.append(ratio)
-        return min(ratio * advantage, float(np.clip(ratio, 0.8, 1.2)) * advantage)
+        return min(ratio * advantage, float(np.clip(ratio, 0.8, 1.2)) * advantage) / 2
 
     def strayed(m: int, s: int) -> float:
         return kl(before[1], before[0], m, s)
@@ -228,7 +230,7 @@ def test_reptiles_gradient_is_the_way_back_from_the_adapted_parameters() -> None
 
 
 def test_the_likelihood_ratio_has_the_gradient_of_the_policy_gradient_and_more_curvature() -> None:
-    """The Hessian's difference is the mean of -advantage * (d log_prob)(d log_prob)'."""
+    """Half the Hessian of -E[advantage * ratio] of whole actions of two dimensions."""
     policy, params = small_policy(())
     rollout, demos = random_rollout(3), random_demos(0)
     flat, unravel = ravel_pytree(params)
@@ -237,9 +239,9 @@ def test_the_likelihood_ratio_has_the_gradient_of_the_policy_gradient_and_more_c
     def densities(x: jax.Array) -> jax.Array:
         gaussian = policy.apply(unravel(x), steps.obs)
         z = (steps.action - gaussian.mean) / jnp.exp(gaussian.log_std)
-        return jnp.mean(-0.5 * z**2 - gaussian.log_std - 0.5 * jnp.log(2 * jnp.pi), axis=-1)
+        return jnp.sum(-0.5 * z**2 - gaussian.log_std - 0.5 * jnp.log(2 * jnp.pi), axis=-1)
 
-    collected = rollout._replace(trajectory=steps._replace(log_prob=densities(flat)))
+    collected = rollout._replace(trajectory=steps._replace(log_prob=densities(flat) / 2))
 
     def of(loss: Any) -> Any:
         return lambda x: loss(policy, unravel(x), collected, demos)
@@ -248,10 +250,44 @@ def test_the_likelihood_ratio_has_the_gradient_of_the_policy_gradient_and_more_c
     np.testing.assert_allclose(jax.grad(ratio)(flat), jax.grad(plain)(flat), atol=1e-12)
     slopes = np.asarray(jax.jacobian(densities)(flat))
     weight = np.asarray(rollout.advantage * steps.mask) / float(jnp.sum(steps.mask))
-    expected = -np.einsum("s,si,sj->ij", weight, slopes, slopes)
+    expected = -np.einsum("s,si,sj->ij", weight, slopes, slopes) / 2
     difference = jax.hessian(ratio)(flat) - jax.hessian(plain)(flat)
     np.testing.assert_allclose(difference, expected, atol=1e-10)
     assert np.abs(expected).max() > 1e-2
+
+
+def test_the_likelihood_ratios_hessian_is_that_of_the_expected_return() -> None:
+    """Of the mean of a Gaussian policy, with a quadratic return of actions of two dimensions.
+
+    J(mean) = E[-a' C a / 2] = -mean' C mean / 2 + a constant, so its Hessian is -C.
+    """
+    curvature = np.array([[2.0, -0.5], [-0.5, 1.0]])
+    mean, std = np.array([0.3, -0.2]), 0.7
+    noise = np.random.default_rng(0).normal(size=(200_000, 2))
+    actions = np.concatenate([mean + std * noise, mean - std * noise])  # antithetic
+    value = -0.5 * np.einsum("si,ij,sj->s", actions, curvature, actions)
+    z = (actions - mean) / std
+    density = np.mean(-0.5 * z**2 - np.log(std) - 0.5 * np.log(2 * np.pi), axis=-1)
+
+    def apply(params: Any, obs: jax.Array) -> Gaussian:
+        wide = jnp.broadcast_to(params, (*obs.shape[:-1], 2))
+        return Gaussian(wide, jnp.full_like(wide, np.log(std)))
+
+    policy = Policy(lambda key: jnp.zeros(2), apply)
+    like = random_rollout(0)
+    ones = jnp.ones(len(actions))
+    steps = like.trajectory._replace(
+        obs=jnp.zeros((len(actions), 1)),
+        action=jnp.asarray(actions),
+        mask=ones,
+        log_prob=jnp.asarray(density),
+    )
+    rollout = Rollout(steps, jnp.asarray(value - value.mean()))
+    loss = likelihood_ratio()
+    hessian = jax.hessian(lambda m: loss(policy, m, rollout, random_demos(0)))(jnp.asarray(mean))
+    np.testing.assert_allclose(2 * hessian, curvature, atol=0.06)
+    plain = jax.hessian(lambda m: policy_gradient()(policy, m, rollout, random_demos(0)))
+    assert np.abs(2 * np.asarray(plain(jnp.asarray(mean))) - curvature).max() > 0.5
 
 
 def test_the_likelihood_ratio_is_to_whoever_collected() -> None:
@@ -264,7 +300,7 @@ def test_the_likelihood_ratio_is_to_whoever_collected() -> None:
     z = (rollout.trajectory.action - gaussian.mean) / np.exp(gaussian.log_std)
     own = np.mean(-0.5 * z**2 - gaussian.log_std - 0.5 * np.log(2 * np.pi), axis=-1)
     weight = np.asarray(rollout.trajectory.mask)
-    expected = -np.sum(weight * rollout.advantage * np.exp(own - density)) / weight.sum()
+    expected = -np.sum(weight * rollout.advantage * np.exp(2 * (own - density))) / weight.sum() / 2
     result = likelihood_ratio()(policy, params, collected, demos)
     np.testing.assert_allclose(result, expected, rtol=1e-10)
     with pytest.raises(ValueError, match="on-policy"):

@@ -17,12 +17,12 @@ from emrld_jax.runs.config import ConfigError, TrainConfig
 from emrld_jax.runs.overrides import parse
 from emrld_jax.runs.saved import load_config, save_config
 from emrld_jax.runs.setup import set_up
-from emrld_jax.study import running
+from emrld_jax.study import launching, running
 from emrld_jax.study.checking import check_runs
 from emrld_jax.study.launching import sweeps
 from emrld_jax.study.plan import ReproduceConfig, programs, studies
 from emrld_jax.study.programs import Program
-from emrld_jax.study.running import run_all
+from emrld_jax.study.running import run_all, took
 from emrld_jax.study.watching import Watch
 from tests.analysis.conftest import write_run
 
@@ -57,6 +57,39 @@ def test_new_seeds_are_trained_together_and_begun_ones_go_on(tmp_path: Path) -> 
     assert not any(text.startswith("num_seeds") for text in first)
     assert {"seed=4", "num_seeds=2"} <= rest
     assert not own.finished
+
+
+def test_points_that_were_left_out_are_trained_one_by_one(tmp_path: Path) -> None:
+    own = program(tmp_path, seeds=(0, 1), grid=(("w_rl", (0.2, 1.0)),))
+    begin(own.folder(0, (0.2,)).path, finished=True)
+    new, left_out = map(arguments, own.commands())
+    assert {"seed=1", "vmap.w_rl=[0.2,1]"} <= new
+    assert {"seed=0", "vmap.w_rl=[1]"} <= left_out
+
+
+def test_what_a_kill_left_before_a_run_began_is_cleared_away(tmp_path: Path) -> None:
+    own = program(tmp_path)
+    left, other, begun = (folder.path for folder in own.folders)
+    for folder in (left, other):
+        folder.mkdir(parents=True)
+    (left / "provenance.json").touch()
+    (other / "thesis.tex").touch()
+    begin(begun)
+    own.clear()
+    assert not left.exists()
+    assert other.exists()
+    assert begun.exists()
+
+
+def test_a_diverged_run_does_not_hold_up_the_others(tmp_path: Path) -> None:
+    own = program(tmp_path, seeds=(0, 1), steps=3)
+    for folder in own.folders:
+        begin(folder.path)
+    own.folders[1].diverged.touch()
+    resumed, evaluated = own.commands()
+    assert f"resume={own.folders[0].path}" in resumed
+    assert f"run={own.folders[0].path}" in evaluated
+    assert [folder.path for folder in own.diverged] == [own.folders[1].path]
 
 
 def test_nothing_is_left_of_a_finished_program(tmp_path: Path) -> None:
@@ -150,13 +183,71 @@ class Scripted(Program):
 def scripted(runs: Path, seed: int, text: str) -> Program:
     own = Scripted(runs, "point2d", "optimal", "emrld", (seed,))
     folder = own.folders[0].path
-    folder.mkdir(parents=True)
+    begin(folder)
     return own._replace(
-        settings=(f"import pathlib, time; at = pathlib.Path({str(folder)!r}); {text}",)
+        settings=(f"import pathlib, time\nat = pathlib.Path({str(folder)!r})\n{text}",)
     )
 
 
 FINISH = "(at / 'results.json').touch()"
+
+
+def test_what_processes_took_is_added_up(tmp_path: Path) -> None:
+    runs = tmp_path / "runs" / "main"
+    busy = "start = time.process_time()\nwhile time.process_time() - start < 0.5: pass\n"
+    own = scripted(runs, 0, f"time.sleep(0.5)\n{busy}{FINISH}")
+    failing = scripted(runs, 1, "raise SystemExit(1)")
+    run_all([own, failing], lambda going, seconds: None)
+    hours = took(tmp_path / "runs")
+    assert 1.0 < 3600 * hours["process_hours"] < 20
+    assert 0.5 <= 3600 * hours["cpu_hours"] < 3600 * hours["process_hours"]
+    assert took(tmp_path) == {"process_hours": 0, "cpu_hours": 0}
+
+
+def test_nothing_goes_on_after_an_error(tmp_path: Path) -> None:
+    own = scripted(tmp_path, 0, "(at / 'began').touch(); time.sleep(3); (at / 'late').touch()")
+    folder = own.folders[0].path
+
+    def watch(going: Any, seconds: float) -> None:
+        if (folder / "began").is_file():
+            raise OSError("no space is left")
+
+    with pytest.raises(OSError, match="no space"):
+        run_all([own], watch)
+    time.sleep(3.5)
+    assert not (folder / "late").exists()
+
+
+def test_a_launcher_gets_what_is_new_and_the_rest_is_told(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    new, begun = program(tmp_path), program(tmp_path, algo="gmps")
+    begin(begun.folders[0].path)
+    handed: list[Program] = []
+
+    class Sweep:
+        """A sweep that finishes all runs of what it is handed."""
+
+        def __init__(self, command: list[str], **_: Any) -> None:
+            assert command[2] == "emrld_jax.sweep"
+            for folder in new.folders:
+                begin(folder.path, finished=True)
+
+        def poll(self) -> int:
+            return 0
+
+        def wait(self) -> int:
+            return 0
+
+    def spied(programs: Any, launcher: str) -> list[list[str]]:
+        handed.extend(programs)
+        return sweeps(programs, launcher)
+
+    monkeypatch.setattr("emrld_jax.study.launching.subprocess.Popen", Sweep)
+    monkeypatch.setattr(launching, "sweeps", spied)
+    outcome = launching.launch_all([new, begun], "joblib", lambda going, seconds: None)
+    assert handed == [new]
+    assert [own for own, _ in outcome.failed] == [begun]
 
 
 def test_programs_are_carried_out_and_failures_are_told_with_their_log(tmp_path: Path) -> None:
@@ -228,10 +319,13 @@ def begun(tmp_path: Path, **settings: Any) -> Program:
 
 def test_runs_that_are_there_are_taken_if_they_are_the_same(tmp_path: Path) -> None:
     own = begun(tmp_path)
-    assert (
-        check_runs([own], configured)
-        == "note: some runs are of other commits of the code: aaaaaaaaaa"
-    )
+    notes = check_runs([own], configured)
+    assert [note.partition(": ")[2] for note in notes] == [
+        "of other demonstrations than x.npz holds now",  # a made-up hash
+        "of another version of the code, aaaaaaaaaa",
+    ] * 2
+    (own.folders[1].provenance).write_text("{")
+    assert "cannot be used: " in check_runs([own], configured)[2]
 
 
 def test_a_run_of_other_settings_is_refused(tmp_path: Path) -> None:

@@ -21,7 +21,7 @@ const svg = (tag, attributes, ...children) =>
   fill(document.createElementNS(SVG, tag), attributes, children);
 
 const LABELS = [...new Set(DATA.groups.map((group) => group.label))];
-const PROBLEMS = [...new Set(DATA.groups.map(problemOf))];
+const PROBLEMS = [...new Set(DATA.groups.flatMap((group) => group.problems))];
 function problemOf(group) { return `${group.environment}, ${group.demonstrations}`; }
 function colorOf(label) {
   const number = LABELS.indexOf(label);

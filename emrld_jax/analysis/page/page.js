@@ -33,13 +33,17 @@ function curvesSection() {
     const form = formOf(state.measure);
     grid.replaceChildren();
     for (const problem of PROBLEMS) {
-      const groups = DATA.groups.filter((group) => problemOf(group) === problem);
+      const name = `${state.measure}/${state.when}`;
+      const groups = DATA.groups.filter((group) => group.problems.includes(problem)
+        && group.curves[state.axis][name]);
+      if (!groups.length) continue;
       const figure = el("div", { class: "figure" }, el("h3", {}, problem));
       grid.append(figure);  // first: it must have its width
-      const reference = groups[0].demonstrated.train;
+      const own = groups.find((group) => problemOf(group) === problem) || groups[0];
+      const reference = own.demonstrated.train;
       figure.append(lineChart(groups.map((group) => ({
         label: group.label, color: colorOf(group.label), seeds: seedsText(group.seeds.length),
-        ...group.curves[state.axis][`${state.measure}/${state.when}`],
+        ...group.curves[state.axis][name],
       })), {
         xWords: AXIS_WORDS[state.axis], form, each: state.each,
         axisForm: state.measure === "success" ? percent : short,
@@ -72,7 +76,7 @@ function adaptationSection() {
   const show = () => {
     grid.replaceChildren();
     for (const problem of PROBLEMS) {
-      const groups = DATA.groups.filter((group) => problemOf(group) === problem);
+      const groups = DATA.groups.filter((group) => group.problems.includes(problem));
       const lines = groups.flatMap((group) => group.adaptation
         .filter((own) => own.split === state.split && own.source === state.source)
         .map((own) => {
