@@ -1,4 +1,4 @@
-"""The README's table: every algorithm on every environment, shipped defaults, several seeds.
+"""The README's table: EMRLD, EMRLD-WS and MAML on every environment, shipped defaults.
 
 `python -m benchmarks.targets` trains what is not finished yet and writes the table.
 """

@@ -159,6 +159,20 @@ def test_checkpoints_ahead_of_where_runs_go_on_are_dropped(tmp_path: Path) -> No
     assert restored.iteration == 15
 
 
+@pytest.mark.parametrize("algo", ["emaml", "promp"])
+def test_outer_losses_are_of_all_tasks_wherever_they_are(
+    command: Command, start: tuple[str, ...], tmp_path: Path, algo: str
+) -> None:
+    """One looks at all tasks to weigh each, the other one takes several steps on a batch."""
+    folders = []
+    for devices in (1, 4):
+        runs = tmp_path / str(devices)
+        done = command("train", *start, f"algo={algo}", f"devices={devices}", f"runs={runs}")
+        assert done.returncode == 0, done.stderr
+        folders.append(runs / "point2d" / f"{algo}-lines" / "seed0")
+    assert_same_curve(*folders)
+
+
 def test_one_run_that_diverges_leaves_the_others_a_way_on(
     command: Command, start: tuple[str, ...], tmp_path: Path
 ) -> None:
@@ -168,6 +182,8 @@ def test_one_run_that_diverges_leaves_the_others_a_way_on(
     parent = tmp_path / "point2d" / "emrld-lines"
     healthy, diverged = (parent / f"adapt.learning_rate={x}" / "seed0" for x in ("0.005", "1e+38"))
     assert f"{diverged} diverged" in done.stdout
+    assert "infinite or NaN" in json.loads((diverged / "diverged.json").read_text())["error"]
+    assert not (healthy / "diverged.json").exists()
     assert f"resume={healthy}\n" in done.stdout
     assert f"resume={diverged}" not in done.stdout
     done = command("train", f"resume={healthy}")

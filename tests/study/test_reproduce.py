@@ -4,6 +4,10 @@ from __future__ import annotations
 
 import csv
 import json
+import signal
+import subprocess
+import sys
+import time
 from pathlib import Path
 from typing import Any
 
@@ -138,26 +142,44 @@ def test_pictures_are_written_as_png_and_svg(tmp_path: Path) -> None:
     assert {path.suffix for path in tmp_path.glob("curves.*")} == {".png", ".svg"}
 
 
-def test_a_reproduction_from_its_command_and_again(command: Command, tmp_path: Path) -> None:
+def test_all_figures_from_one_command_that_is_stopped_once(
+    environment: dict[str, str], command: Command, tmp_path: Path
+) -> None:
     out = tmp_path / "made"
-    chosen = ("fast=true", "envs=[point2d]", "qualities=[optimal]", "algos=[emrld,meta_bc]")
-    arguments = (*chosen, "seeds=2", f"out={out}")
+    chosen = ("envs=[point2d,two_wheeled_drift]", "qualities=[optimal]", "algos=[emrld]")
+    arguments = ("figure=all", "fast=true", *chosen, "seeds=1", "steps=2", f"out={out}")
+    first = subprocess.Popen(
+        [sys.executable, "-m", "emrld_jax.reproduce", *arguments],
+        env=environment,
+        stdout=subprocess.PIPE,
+        text=True,
+    )
+    results = out / "runs" / "main" / "point2d" / "emrld-optimal" / "seed0" / "results.json"
+    while not results.is_file():
+        assert first.poll() is None
+        time.sleep(0.1)
+    first.send_signal(signal.SIGINT)
+    printed, _ = first.communicate(timeout=60)
+    assert first.returncode == 128 + signal.SIGINT, printed
+    assert "stopped; the same command goes on where it was" in printed
+    trained = results.stat().st_mtime_ns
+
     done = command("reproduce", *arguments)
     assert done.returncode == 0, done.stdout + done.stderr
-    assert "4 runs in 2 programs, 0 of them finished already" in done.stdout
-    for name in ("curves_iterations.svg", "curves_seconds.png", "results.csv", "results.html"):
-        assert (out / name).stat().st_size > 500
-    study = json.loads((out / "study.json").read_text())
-    assert (study["seeds"], study["runs"]) == (2, 4)
-    assert 0 < study["cpu_hours"] < 2 * study["process_hours"]
-    rows = list(csv.DictReader((out / "results.csv").read_text().splitlines()))
-    assert {(row["algorithm"], row["seeds"]) for row in rows} == {("emrld", "2"), ("meta_bc", "2")}
-    results = out / "runs" / "main" / "point2d" / "meta_bc-optimal" / "seed1" / "results.json"
-    trained = results.stat().st_mtime_ns
-    again = command("reproduce", *arguments)
-    assert again.returncode == 0, again.stderr
-    assert "2 of them finished already" in again.stdout
     assert results.stat().st_mtime_ns == trained
+    for name in ("curves_iterations", "sensitivity", "ablation", "trajectories"):
+        for suffix in (".svg", ".png"):
+            assert (out / f"{name}{suffix}").stat().st_size > 500
+    rows = list(csv.DictReader((out / "results.csv").read_text().splitlines()))
+    found = {(row["environment"], row["algorithm"], row["seeds"]) for row in rows}
+    # the sensitivity of EMRLD-WS takes the curves' run of it
+    others = {("point2d", "emrld_ws", "1"), ("two_wheeled_drift", "emrld", "1")}
+    assert found == {("point2d", "emrld", "1"), *others}
+    assert "w_rl=0.4" in (out / "weights.md").read_text()
+    assert "test-steps2" in (out / "results.html").read_text()
+    study = json.loads((out / "study.json").read_text())
+    assert study["runs"] == 3 + 2 * 8 + 2
+    assert 0 < study["cpu_hours"] < 2 * study["process_hours"]
 
 
 def test_what_is_wrong_is_told_before_any_training(command: Command, tmp_path: Path) -> None:

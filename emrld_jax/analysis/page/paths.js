@@ -208,4 +208,7 @@ function pathsSection() {
     el("div", { class: "controls" }, splits), ends);
   show();
 }
-function redraw(place) { if (DRAWN.has(place)) draw(place, DRAWN.get(place)); }
+function redraw(place) {
+  for (const old of [...DRAWN.keys()]) if (!old.isConnected) DRAWN.delete(old);
+  if (DRAWN.has(place)) draw(place, DRAWN.get(place));
+}
