@@ -1,7 +1,7 @@
-"""How the compared algorithms were tuned: the same number of settings tried for each.
+"""How the algorithms that EMRLD is compared with were tuned: 24 settings tried for each.
 
-`python -m benchmarks.baselines --env point2d` trains an algorithm's grid of numbers in one program,
-on a seed that no figure uses, and writes the table. What is best there is in `conf/tuned/`.
+`python -m benchmarks.baselines --env point2d` trains grids of numbers, a program a grid, on a seed
+that no figure uses, and writes the table. Each starts where EMRLD's own tuning has ended.
 """
 
 from __future__ import annotations
@@ -21,14 +21,17 @@ from emrld_jax.study.plan import COMPARED
 from emrld_jax.study.programs import Grid, Point, Program
 from envs_jax import names
 
+BASELINES = ("maml", "meta_bc", "gmps")
 FACTORS = (0.3, 1.0, 3.0, 10.0)  # times the inner rate that EMRLD has in the environment
 ADAM = (0.001, 0.003, 0.01)  # of Meta-BC and GMPS; the paper has 0.01
 KL_FACTORS = (0.3, 1.0, 3.0)  # times the bound that EMRLD has in the environment
+# the environment's own start of the policy, which was tuned for EMRLD, and an ordinary one
+STARTS = ((), ("policy.start_at_zero=false", "policy.output_scale=1"))
 SEED = 7
 
 
 def grid(env: str, algo: str) -> Grid:
-    """12 settings of an algorithm: its inner rate, and its outer one."""
+    """12 pairs of an algorithm's inner rate and its outer one."""
     own = train_config([f"env={env}", "algo=emrld"])
     inner = ("adapt.learning_rate", tuple(f * own.adapt.learning_rate for f in FACTORS))
     if algo in ("meta_bc", "gmps"):
@@ -42,6 +45,7 @@ def summarize(program: Program) -> list[dict[str, Any]]:
         {
             "algorithm": program.algo,
             "demonstrations": program.demos,
+            "start": " ".join(program.settings),
             "point": dict(zip([number for number, _ in program.grid], point, strict=True)),
             "return": _after(program, point, "train"),
             "held_out_return": _after(program, point, "test"),
@@ -56,23 +60,23 @@ def _after(program: Program, point: Point, split: str) -> float:
 
 
 def table(rows: Sequence[dict[str, Any]]) -> str:
-    """Returns on the training tasks, a line a point, the best of each column in bold."""
+    """Returns on the training tasks, a line a setting, the best of each column in bold."""
     lines = []
     for algo in dict.fromkeys(row["algorithm"] for row in rows):
         own = [row for row in rows if row["algorithm"] == algo]
         demos = list(dict.fromkeys(row["demonstrations"] for row in own))
-        points = list(dict.fromkeys(tuple(row["point"].items()) for row in own))
-        columns = [
-            {tuple(r["point"].items()): r["return"] for r in own if r["demonstrations"] == d}
-            for d in demos
-        ]
+        columns = [{_words(r): r["return"] for r in own if r["demonstrations"] == d} for d in demos]
         lines += [f"| {algo} | {' | '.join(demos)} |", "|---" * (len(demos) + 1) + "|"]
-        for point in points:
-            words = " ".join(f"{name}={value:g}" for name, value in point)
-            cells = [_cell(column.get(point), max(column.values())) for column in columns]
+        for words in dict.fromkeys(map(_words, own)):
+            cells = [_cell(column.get(words), max(column.values())) for column in columns]
             lines.append(f"| `{words}` | {' | '.join(cells)} |")
         lines.append("")
     return "\n".join(lines)
+
+
+def _words(row: dict[str, Any]) -> str:
+    """A row's setting, as the command line takes it."""
+    return " ".join([*(f"{name}={value:g}" for name, value in row["point"].items()), row["start"]])
 
 
 def _cell(value: float | None, best: float) -> str:
@@ -86,12 +90,14 @@ def main() -> None:
     parser = argparse.ArgumentParser(prog="python -m benchmarks.baselines", description=__doc__)
     parser.add_argument("--runs", type=Path, default=Path("runs/baselines"))
     parser.add_argument("--env", default="point2d", choices=names())
-    parser.add_argument("--algos", nargs="+", default=COMPARED, choices=COMPARED)
+    parser.add_argument("--algos", nargs="+", default=BASELINES, choices=COMPARED)
     parser.add_argument("--table", action="store_true", help="only tabulate what is finished")
     options = parser.parse_args()
     programs = [
-        Program(options.runs, options.env, demos, algo, (SEED,), (), grid(options.env, algo))
+        Program(options.runs / str(k), options.env, demos, algo, (SEED,), start, own)
         for algo in options.algos
+        for k, start in enumerate(STARTS)
+        for own in [grid(options.env, algo)]
         for demos in (QUALITIES if takes_demonstrations(algo) else QUALITIES[:1])
     ]
     if not options.table:
