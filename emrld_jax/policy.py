@@ -145,6 +145,12 @@ def log_prob(gaussian: Gaussian, action: jax.Array) -> jax.Array:
     return jnp.mean(density, axis=-1)
 
 
+def sample_log_prob(gaussian: Gaussian, noise: jax.Array) -> jax.Array:
+    """`log_prob` of the action that `sample` makes of this noise, [.., A] -> [..]."""
+    density = -0.5 * noise**2 - gaussian.log_std - 0.5 * jnp.log(2 * jnp.pi)
+    return jnp.mean(density, axis=-1)
+
+
 def kl_divergence(new: Gaussian, old: Gaussian) -> jax.Array:
     """KL(new || old), as the mean over action dimensions: [..]."""
     log_ratio = old.log_std - new.log_std

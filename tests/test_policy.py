@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from math import erf
+from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -17,6 +18,7 @@ from emrld_jax.policy import (
     log_prob,
     mean_action,
     sample,
+    sample_log_prob,
 )
 from emrld_jax.types import Gaussian, Params
 
@@ -36,7 +38,7 @@ def random_gaussian(seed: int, shape: tuple[int, ...]) -> Gaussian:
     return Gaussian(jnp.asarray(mean), jnp.asarray(log_std))
 
 
-def density(x: np.ndarray, mean: float, std: float) -> np.ndarray:
+def density(x: np.ndarray, mean: Any, std: Any) -> np.ndarray:
     return np.exp(-0.5 * ((x - mean) / std) ** 2) / (std * np.sqrt(2 * np.pi))
 
 
@@ -48,6 +50,13 @@ def test_log_prob_is_the_mean_over_dimensions_of_the_log_density() -> None:
     result = log_prob(gaussian, action)
     assert result.shape == (4,)
     np.testing.assert_allclose(result, expected, rtol=1e-5)
+
+
+def test_log_prob_of_a_sample_is_that_of_its_action() -> None:
+    gaussian, noise = random_gaussian(0, (5, 3)), np.random.default_rng(2).normal(size=(5, 3))
+    mean, std = np.asarray(gaussian.mean), np.exp(np.asarray(gaussian.log_std))
+    expected = np.log(density(mean + std * noise, mean, std)).mean(axis=-1)
+    np.testing.assert_allclose(sample_log_prob(gaussian, jnp.asarray(noise)), expected, rtol=1e-5)
 
 
 def test_log_prob_of_worked_numbers() -> None:

@@ -155,7 +155,7 @@ def _loop(
             stack.enter_context(Recording(folder, k, standing, every, console))
             for k, folder in enumerate(folders)
         ]
-        keeper.keep(standing)
+        waiting = [standing]  # for the first checkpoint, so that no compilation delays the start
         for step in _steps(runs, standing, stop):
             standing = step.standing
             records = [
@@ -163,7 +163,9 @@ def _loop(
                 for recording, own in zip(recordings, step.metrics, strict=True)
             ]
             if standing.iteration % every == 0:
-                keeper.keep(standing)
+                for moment in (*waiting, standing):
+                    keeper.keep(moment)
+                waiting = []
             view.show(standing.iteration, figures(records), step.seconds)
     return standing
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import jax
 import jax.numpy as jnp
 
-from emrld_jax.policy import Policy, log_prob, sample
+from emrld_jax.policy import Policy, sample, sample_log_prob
 from emrld_jax.sampling.advantages import advantages
 from emrld_jax.types import Collect, Params, Rollout, Task, Trajectory
 from envs_jax import Env, State
@@ -23,7 +23,8 @@ def episode(env: Env, policy: Policy, params: Params, key: jax.Array, task: Task
         following = env.step(state, action)
         success, diverged = following.metrics["success"], following.metrics["diverged"]
         outcome = (following.reward, following.done, success, diverged)
-        record = Trajectory(state.obs, action, *outcome, alive, log_prob(gaussian, action))
+        density = sample_log_prob(gaussian, noise)
+        record = Trajectory(state.obs, action, *outcome, alive, density)
         return (following, alive * (1.0 - following.done)), record
 
     start = (env.reset(reset_key, task), jnp.ones(()))
