@@ -18,7 +18,8 @@ from emrld_jax.study.plan import MAIN, ReproduceConfig, Study, programs
 from emrld_jax.study.programs import Program
 from emrld_jax.study.running import took
 
-RESULTS = "results"  # names of the files of the comparison of algorithms
+RESULTS, WEIGHTS = "results", "weights"  # names of the comparisons of algorithms, of weights
+REPORTS = {RESULTS: "report.html", WEIGHTS: "weights.html"}
 
 
 def draw(planned: Sequence[Study], config: ReproduceConfig, console: Console) -> None:
@@ -44,11 +45,11 @@ def draw(planned: Sequence[Study], config: ReproduceConfig, console: Console) ->
                 tell(console, f"note: {note}")
             write_text(out / f"{name}.csv", tables.results_csv(grouped.groups))
             write_text(out / f"{name}.md", tables.results_markdown(grouped.groups))
-            write_report(grouped, out / f"{name}.html", f"Reproduction: {name}")
+            write_report(grouped, out / REPORTS[name], f"Reproduction: {name}")
     if compared := _grouped(loaded, _reports(planned)[RESULTS]).groups:
         write_text(out / "improvements.md", tables.improvements_markdown(compared))
     write_json(out / "study.json", _origin(loaded.runs, config))
-    tell(console, f"{out}: figures, tables ({RESULTS}.md, .csv), the report ({RESULTS}.html)")
+    tell(console, f"{out}: figures, tables ({RESULTS}.md, .csv), {REPORTS[RESULTS]}")
 
 
 def _draw(figure: str, groups: Sequence[Group], path: Path) -> list[str]:
@@ -72,7 +73,7 @@ def _reports(planned: Sequence[Study]) -> dict[str, list[Program]]:
     """
     main = [p for p in programs(planned) if p.runs.name == MAIN]
     weights = [s for s in planned if s.figure in ("sensitivity", "ablation")]
-    return {RESULTS: main, "weights": programs(weights)}
+    return {RESULTS: main, WEIGHTS: programs(weights)}
 
 
 def _begun(own: Sequence[Program]) -> Loaded:

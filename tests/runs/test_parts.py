@@ -8,8 +8,11 @@ import subprocess
 from pathlib import Path
 
 import pytest
+import yaml
 
-from emrld_jax.runs.cli import run_command, train_config
+import envs_jax
+from emrld_jax import algorithms
+from emrld_jax.runs.cli import CONF, run_command, train_config
 from emrld_jax.runs.config import ConfigError, EnvSettings, TrainConfig, check_config, default_w_rl
 from emrld_jax.runs.folder import RunFolder, new_folder, new_run_folder
 from emrld_jax.runs.metrics import MetricsLog, read_metrics
@@ -164,3 +167,22 @@ def test_provenance_parts(tmp_path: Path) -> None:
         text=True,
     )
     assert code_version()["commit"] == (head.stdout.strip() or "unknown")
+
+
+def test_an_algorithms_own_defaults_come_after_the_environments() -> None:
+    """What one wants otherwise in an environment comes after both, then experiment, arguments."""
+    emrld, maml = (train_config(["env=point2d", f"algo={name}"]) for name in ("emrld", "maml"))
+    assert emrld.policy == maml.policy
+    tuned = yaml.safe_load((CONF / "tuned" / "point2d-maml.yaml").read_text())
+    assert maml.meta.max_kl == tuned["meta"]["max_kl"] != emrld.meta.max_kl
+    assert train_config(["env=two_wheeled", "algo=promp"]).meta.learning_rate == 0.001
+    given = ["env=point2d", "algo=maml", "experiment=paper", "adapt.learning_rate=0.3"]
+    config = train_config(given)
+    assert (config.meta.max_kl, config.adapt.learning_rate) == (0.01, 0.3)
+
+
+def test_every_file_of_tuned_defaults_is_for_an_environment_and_an_algorithm() -> None:
+    for path in (CONF / "tuned").glob("*.yaml"):
+        env, _, algo = path.stem.partition("-")
+        assert env in envs_jax.names()
+        assert algo in algorithms.names()

@@ -176,7 +176,7 @@ def test_all_figures_from_one_command_that_is_stopped_once(
     others = {("point2d", "emrld_ws", "1"), ("two_wheeled_drift", "emrld", "1")}
     assert found == {("point2d", "emrld", "1"), *others}
     assert "w_rl=0.4" in (out / "weights.md").read_text()
-    assert "test-steps2" in (out / "results.html").read_text()
+    assert "test-steps2" in (out / "report.html").read_text()
     study = json.loads((out / "study.json").read_text())
     assert study["runs"] == 3 + 2 * 8 + 2
     assert 0 < study["cpu_hours"] < 2 * study["process_hours"]
