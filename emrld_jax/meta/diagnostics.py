@@ -85,7 +85,14 @@ def diagnose(
             own = learner.adapt(params, adapt_key, task, shown.demos, collect).params
             return own, collect(own, episodes_key, task).trajectory
 
-        return estimate(learner.policy, how, *adapted(old), *adapted(new), shown)
+        # One after the other, also on an accelerator: XLA's CPU runtime (JAX 0.10.2) may wait for
+        # ever in two batched QR decompositions, here of the two baselines, that go on at once.
+        both = jax.tree.map(lambda *leaves: jnp.stack(leaves), old, new)
+        found = jax.lax.map(adapted, both)
+        (own, before), (changed, after) = (
+            jax.tree.map(lambda leaf, k=k: leaf[k], found) for k in range(2)
+        )
+        return estimate(learner.policy, how, own, before, changed, after, shown)
 
     keys = jax.random.split(key, shown.demos.mask.shape[0])
     return _metrics(jax.vmap(one)(keys, tasks, shown))

@@ -8,7 +8,7 @@ from collections.abc import Sequence
 
 from emrld_jax.analysis.comparisons import compare
 from emrld_jax.analysis.groups import Group
-from emrld_jax.analysis.loading import SPLITS
+from emrld_jax.analysis.loading import NONE, SPLITS
 from emrld_jax.analysis.scores import MEASURES, Cell, Row, headline
 
 WORDS = {"train": "training tasks", "test": "held-out tasks"}
@@ -45,7 +45,8 @@ def _line(row: Row) -> str:
     group = row.group
     cells = [row.cells.get((split, measure, "after")) for split in SPLITS for measure in MEASURES]
     forms = [".1f", ".0%"] * len(SPLITS)
-    demos = f"{group.demonstrations} ({row.demonstrated.get('train', float('nan')):.1f})"
+    shown = f" ({row.demonstrated.get('train', float('nan')):.1f})" * (group.demonstrations != NONE)
+    demos = f"{group.demonstrations}{shown}"
     figures = [_figure(cell, form) for cell, form in zip(cells, forms, strict=True)]
     words = [group.environment, demos, group.label, str(len(group.seeds)), *figures]
     return f"| {' | '.join([*words, f'{row.seconds:.0f}'])} |"

@@ -49,7 +49,7 @@ class Watch:
         text = f"{finished}/{len(self._programs)} programs finished, {done / self._total:.0%}"
         if done > self._before:
             left = (self._total - done) * seconds / (done - self._before)
-            text += f", about {clock(left)} left"
+            text += f", about {clock(left)} of training left" if left else ", evaluating"
         tell(self._console, text)
         for program in going:
             tell(self._console, f"  {program.name}: {self._standing(program)}")

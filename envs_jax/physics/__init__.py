@@ -6,6 +6,8 @@ contact solver starts from. (One array, since XLA's CPU runtime costs per array 
 
 from __future__ import annotations
 
+import os
+import platform
 import warnings
 from functools import lru_cache
 from typing import Any, NamedTuple, Protocol
@@ -20,6 +22,14 @@ PACKAGES = {  # that a backend needs, found before anything is imported
     "mujoco": ("mujoco", "mujoco.batch", "gymnasium"),
     "mjx": ("mujoco", "mujoco.mjx", "gymnasium"),
 }
+
+
+# values of the environment's MUJOCO_GL that MuJoCo can be imported with, besides those of a system
+RENDERERS = (
+    *("", "glfw", "on", "off", "true", "false", "1", "0", "enable", "enabled", "disable"),
+    "disabled",
+)
+SYSTEM_RENDERERS = {"Linux": ("egl", "osmesa", "glx"), "Windows": ("wgl",), "Darwin": ("cgl",)}
 
 
 class SlowBackendWarning(UserWarning):
@@ -55,12 +65,18 @@ def check_backend(backend: str) -> None:
     """Refuses a backend that there is not, or not here.
 
     Raises:
-        ValueError: it is unknown.
+        ValueError: it is unknown, or MUJOCO_GL has a value that MuJoCo refuses.
         MissingPackageError: a package is not installed.
     """
     if backend not in BACKENDS:
         raise ValueError(f"backend={backend!r} is unknown; choose one of: {', '.join(BACKENDS)}")
     check_installed(PACKAGES.get(backend, PACKAGES["mujoco"]))  # auto may choose too early here
+    own = SYSTEM_RENDERERS.get(platform.system(), ())
+    if (renderer := os.environ.get("MUJOCO_GL", "").lower().strip()) not in (*own, *RENDERERS):
+        raise ValueError(
+            f"MUJOCO_GL={renderer} in the environment keeps MuJoCo from being imported: unset it, "
+            f"or choose one of {', '.join((*own, 'glfw', 'disabled'))}"
+        )
 
 
 def resolve_backend(backend: str) -> str:

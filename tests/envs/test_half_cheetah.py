@@ -266,6 +266,16 @@ def test_an_unknown_backend_is_refused() -> None:
         envs_jax.make("half_cheetah", backend="warp")
 
 
+def test_a_renderer_that_mujoco_refuses_is_told_before_it_is_imported(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setenv("MUJOCO_GL", "banana")
+    with pytest.raises(ValueError, match=r"MUJOCO_GL=banana in the environment .*: unset it, or"):
+        HalfCheetah()
+    monkeypatch.setenv("MUJOCO_GL", "EGL ")  # as MuJoCo reads it
+    assert HalfCheetah().observation_size == 20
+
+
 def test_a_missing_package_names_the_extra() -> None:
     with pytest.raises(
         ImportError,

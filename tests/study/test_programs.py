@@ -296,7 +296,7 @@ def test_the_time_left_is_shared_out_by_what_is_done(tmp_path: Path) -> None:
     (folder / "metrics.jsonl").write_text(metrics)
     watch([own], 100.0)  # half of it is done, in 100 s
     text = console.export_text()
-    assert "0/1 programs finished, 50%, about 1:40 left" in text
+    assert "0/1 programs finished, 50%, about 1:40 of training left" in text
     assert "point2d, emrld, optimal demonstrations: 0 of 4 meta-iterations" in text
     watch([own], 101.0)
     assert console.export_text() == ""  # not so soon again
