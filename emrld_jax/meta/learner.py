@@ -115,10 +115,7 @@ def meta_learner(
         metrics = mean_over_devices(_episode_metrics(experience), axis)
         if not outer_loss.idle_steps:
             # adaptation weighs steps by their advantage, the trust region does not
-            inner = jax.tree.map(
-                jax.vmap(without_idle_steps), experience.inner, is_leaf=_is_rollout
-            )
-            experience = experience._replace(inner=inner)
+            experience = _without_idle_steps(experience)
         most = jax.tree.map(lambda r: jnp.max(living_steps(r)), experience, is_leaf=_is_rollout)
         return Gathered(experience, max_over_devices(most, axis), metrics)
 
@@ -126,21 +123,7 @@ def meta_learner(
         experience: Experience, demos: Demos, sizes: Sizes, axis: str | None, every: int
     ) -> Objective:
         steps = _gather_living(experience, sizes, every)
-        average = partial(mean_over_devices, axis=axis)
-
-        def outputs(params: Params) -> Any:
-            def of_task(experience: Experience, demos: Demos) -> Any:
-                path = readapt(policy, inner_steps, params, experience.inner, demos)
-                return outer_loss.outputs(policy, path, experience, demos)
-
-            return map_each(of_task, steps, demos)
-
-        return Objective(
-            outputs,
-            lambda new, old: outer_loss.loss(new, old, steps, demos, average),
-            lambda new, old: outer_loss.divergence(new, old, steps, demos),
-            average,
-        )
+        return _objective(policy, inner_steps, outer_loss, steps, demos, axis)
 
     def improve(
         state: MetaState, experience: Experience, demos: Demos, sizes: Sizes, axis: str | None
@@ -155,6 +138,32 @@ def meta_learner(
 
     programs = Programs(gather, objective, improve)
     return MetaLearner(policy, init, adapt_one, _compiled(programs), programs)
+
+
+def _objective(
+    policy: Policy,
+    inner_steps: InnerSteps,
+    outer_loss: OuterLoss,
+    steps: Experience,
+    demos: Demos,
+    axis: str | None,
+) -> Objective:
+    """The outer loss of the meta-parameters, through adaptation on these steps, [M, ..]."""
+    average = partial(mean_over_devices, axis=axis)
+
+    def outputs(params: Params) -> Any:
+        def of_task(experience: Experience, demos: Demos) -> Any:
+            path = readapt(policy, inner_steps, params, experience.inner, demos)
+            return outer_loss.outputs(policy, path, experience, demos)
+
+        return map_each(of_task, steps, demos)
+
+    return Objective(
+        outputs,
+        lambda new, old: outer_loss.loss(new, old, steps, demos, average),
+        lambda new, old: outer_loss.divergence(new, old, steps, demos),
+        average,
+    )
 
 
 def _compiled(
@@ -192,6 +201,12 @@ def bucket(total: int, needed: int) -> int:
 
 def _is_rollout(x: Any) -> bool:
     return isinstance(x, Rollout)
+
+
+def _without_idle_steps(experience: Experience) -> Experience:
+    """Without the steps that adaptation has no use for, of a batch of tasks [M]."""
+    inner = jax.tree.map(jax.vmap(without_idle_steps), experience.inner, is_leaf=_is_rollout)
+    return experience._replace(inner=inner)
 
 
 def _gather_living(experience: Experience, sizes: Sizes, every: int) -> Experience:

@@ -104,11 +104,20 @@ def took(runs: Path) -> dict[str, float]:
     """
     ledger = runs / LEDGER
     lines = ledger.read_text().splitlines() if ledger.is_file() else []
-    entries = [json.loads(line) for line in lines]
+    entries = [entry for line in lines if (entry := _entry(line)) is not None]
     return {
         "process_hours": sum(entry["wall_s"] for entry in entries) / 3600,
         "cpu_hours": sum(entry["cpu_s"] for entry in entries) / 3600,
     }
+
+
+def _entry(line: str) -> dict | None:
+    """A line of the ledger; None for one that a kill cut in half, which no figure may fail of."""
+    try:
+        entry: dict = json.loads(line)
+        return entry if {"wall_s", "cpu_s"} <= set(entry) else None
+    except (ValueError, TypeError):
+        return None
 
 
 def log_of(program: Program) -> Path:

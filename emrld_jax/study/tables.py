@@ -10,8 +10,9 @@ from emrld_jax.analysis.comparisons import compare
 from emrld_jax.analysis.groups import Group
 from emrld_jax.analysis.loading import NONE, SPLITS
 from emrld_jax.analysis.scores import MEASURES, Cell, Row, headline
+from emrld_jax.runs.report import SPLITS as SPLIT_WORDS
 
-WORDS = {"train": "training tasks", "test": "held-out tasks"}
+WORDS = {split: f"{words} tasks" for split, words in SPLIT_WORDS.items()}
 WHEN = ("before", "after")
 
 

@@ -202,6 +202,9 @@ def test_what_processes_took_is_added_up(tmp_path: Path) -> None:
     assert 1.0 < 3600 * hours["process_hours"] < 20
     assert 0.5 <= 3600 * hours["cpu_hours"] < 3600 * hours["process_hours"]
     assert took(tmp_path) == {"process_hours": 0, "cpu_hours": 0}
+    with (tmp_path / "runs" / "compute.jsonl").open("a") as ledger:
+        ledger.write('{"program": "cut off by a ki')
+    assert took(tmp_path / "runs") == hours
 
 
 def test_nothing_goes_on_after_an_error(tmp_path: Path) -> None:
