@@ -9,8 +9,8 @@ from typing import Any
 
 from emrld_jax import algorithms
 from emrld_jax.demos.shipped import QUALITIES
+from emrld_jax.fields import setting
 from emrld_jax.runs.provenance import machine, software
-from emrld_jax.settings import setting
 from envs_jax import names
 
 

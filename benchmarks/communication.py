@@ -18,12 +18,12 @@ import jax
 
 from benchmarks.choice import Choice, chosen, origin
 from benchmarks.records import write_record
+from emrld_jax.fields import setting
 from emrld_jax.runs import cli
 from emrld_jax.runs.config import check_config
 from emrld_jax.runs.iteration import Together, initial
 from emrld_jax.runs.machines import split_cpu
 from emrld_jax.runs.setup import set_up, with_config
-from emrld_jax.settings import setting
 
 _KINDS = "all-reduce|all-gather|all-to-all|collective-permute"
 _COLLECTIVE = re.compile(rf" = (.*?) ({_KINDS})(?:-start)?\(")

@@ -23,11 +23,11 @@ from benchmarks.records import write_record
 from benchmarks.timing import seconds
 from benchmarks.visits import Visited, trained_expert, visited_by
 from emrld_jax.demos.expert import conditioned
+from emrld_jax.fields import setting
 from emrld_jax.policy import Policy, mean_action
 from emrld_jax.runs import cli
 from emrld_jax.runs.config import check_config
 from emrld_jax.sampling.rollouts import episode, episode_returns
-from emrld_jax.settings import setting
 from envs_jax.half_cheetah import HalfCheetah
 from envs_jax.physics.models import silent_mujoco
 

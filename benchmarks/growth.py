@@ -17,10 +17,10 @@ from benchmarks.choice import Choice, chosen, origin
 from benchmarks.records import write_record
 from benchmarks.timing import seconds
 from emrld_jax import algorithms
+from emrld_jax.fields import setting
 from emrld_jax.runs import cli
 from emrld_jax.runs.config import algorithm_settings, check_config, make_env
 from emrld_jax.runs.setup import Setup, set_up
-from emrld_jax.settings import setting
 
 KEY = jax.random.key(0)
 

@@ -20,11 +20,11 @@ import numpy as np
 from benchmarks.choice import Choice, origin
 from benchmarks.jobs import job, metrics, train_all
 from benchmarks.records import write_record
+from emrld_jax.fields import setting
 from emrld_jax.runs import cli
 from emrld_jax.runs.config import ConfigError, check_config
 from emrld_jax.runs.launch import HUGE_PAGES
 from emrld_jax.runs.setup import set_up
-from emrld_jax.settings import setting
 from emrld_jax.study.programs import Program
 from envs_jax.base import REWARDS
 

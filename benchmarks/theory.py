@@ -17,6 +17,7 @@ from matplotlib.figure import Figure
 
 from benchmarks.choice import Choice, chosen, origin
 from benchmarks.records import write_record
+from emrld_jax.fields import setting
 from emrld_jax.runs import cli
 from emrld_jax.runs.bound_picture import column, draw_bound, draw_improvement
 from emrld_jax.runs.config import check_config
@@ -24,7 +25,6 @@ from emrld_jax.runs.iteration import Together, initial
 from emrld_jax.runs.metrics import Record
 from emrld_jax.runs.panels import save
 from emrld_jax.runs.setup import set_up
-from emrld_jax.settings import setting
 from emrld_jax.theory.cases import KINDS, random_case
 
 IMAGE = Path(__file__).parents[1] / "docs" / "images" / "theory"

@@ -20,6 +20,7 @@ from benchmarks.meta_step import Bench
 from benchmarks.records import write_record
 from benchmarks.startup import start_up
 from benchmarks.timing import Row, table
+from emrld_jax.fields import setting
 from emrld_jax.meta.learner import MetaState
 from emrld_jax.runs import cli
 from emrld_jax.runs.checkpoints import Checkpoints
@@ -28,7 +29,6 @@ from emrld_jax.runs.iteration import initial
 from emrld_jax.runs.machines import split_cpu
 from emrld_jax.runs.saved import load_config
 from emrld_jax.runs.setup import Setup, set_up
-from emrld_jax.settings import setting
 from envs_jax.base import REWARDS
 from envs_jax.physics import BACKENDS
 

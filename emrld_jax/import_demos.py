@@ -13,12 +13,12 @@ import numpy as np
 import envs_jax
 from emrld_jax import demos
 from emrld_jax.demos.importers import import_file
+from emrld_jax.fields import setting
 from emrld_jax.runs import cli
 from emrld_jax.runs.config import ConfigError, check_config
 from emrld_jax.runs.help_texts import asks_for_help
 from emrld_jax.runs.outputs import check_new_npz
 from emrld_jax.runs.usage import usage
-from emrld_jax.settings import setting
 
 
 @dataclass

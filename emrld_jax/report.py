@@ -7,11 +7,11 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
+from emrld_jax.fields import setting
 from emrld_jax.runs import cli
 from emrld_jax.runs.config import ConfigError
 from emrld_jax.runs.help_texts import asks_for_help
 from emrld_jax.runs.usage import usage
-from emrld_jax.settings import setting
 
 
 @dataclass

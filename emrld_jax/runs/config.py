@@ -6,14 +6,13 @@ from dataclasses import asdict, dataclass, field, fields, is_dataclass
 from typing import Any
 
 from emrld_jax import algorithms
+from emrld_jax.fields import check, setting
 from emrld_jax.settings import (
     AdaptSettings,
     MetaSettings,
     PolicySettings,
     Settings,
-    check,
     numbers,
-    setting,
     with_values,
 )
 from envs_jax import Env, make, names

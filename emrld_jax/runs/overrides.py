@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from difflib import get_close_matches
 from typing import Any
 
 from hydra.core.override_parser.overrides_parser import OverridesParser
@@ -12,9 +11,9 @@ from hydra.errors import HydraException
 from omegaconf import OmegaConf
 from omegaconf.errors import OmegaConfBaseException
 
+from emrld_jax.fields import allowed_values
 from emrld_jax.runs.config import PATHS, VARIED, ConfigError
-from emrld_jax.runs.usage import Leaf, leaves
-from emrld_jax.settings import allowed_values
+from emrld_jax.runs.usage import Leaf, did_you_mean, leaves
 
 VMAP = "vmap."  # before the name of a setting: values that are trained side by side
 
@@ -125,13 +124,3 @@ def _check_varied(argument: str, key: str, value: Any, known: dict[str, Leaf]) -
         raise ConfigError(f"{argument} is not allowed: it must be a list of numbers, as [0.2,0.5]")
     if len(set(value)) < len(value):
         raise ConfigError(f"{argument} is not allowed: a value is given twice")
-
-
-def did_you_mean(wrong: str, known: Sequence[str]) -> str:
-    """A hint at the closest known name; empty if none is close."""
-    lower = {name.lower(): name for name in known}
-    close = [lower[c] for c in get_close_matches(wrong.lower(), lower, n=1, cutoff=0.5)]
-    if not close:  # the right name in the wrong section
-        _, _, last = wrong.rpartition(".")
-        close = [name for name in known if name.endswith(f".{last}")][:1]
-    return f"; did you mean {close[0]!r}?" if close else ""

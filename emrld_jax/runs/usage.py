@@ -1,13 +1,14 @@
-"""The help text of a command, generated from the settings' classes."""
+"""The help text of a command, generated from the settings' classes; hints at what was meant."""
 
 from __future__ import annotations
 
 import textwrap
 from collections.abc import Mapping, Sequence
 from dataclasses import fields, is_dataclass
+from difflib import get_close_matches
 from typing import Any, NamedTuple
 
-from emrld_jax.settings import allowed_values
+from emrld_jax.fields import allowed_values
 
 _TYPES = {
     "int": "a whole number",
@@ -66,6 +67,16 @@ def usage(
             lines += ["", f" {section}: {leaf.section.__doc__}"]
         lines += _describe(key, leaf)
     return "\n".join(lines)
+
+
+def did_you_mean(wrong: str, known: Sequence[str]) -> str:
+    """A hint at the closest known name; empty if none is close."""
+    lower = {name.lower(): name for name in known}
+    close = [lower[c] for c in get_close_matches(wrong.lower(), lower, n=1, cutoff=0.5)]
+    if not close:  # the right name in the wrong section
+        _, _, last = wrong.rpartition(".")
+        close = [name for name in known if name.endswith(f".{last}")][:1]
+    return f"; did you mean {close[0]!r}?" if close else ""
 
 
 def _describe(key: str, leaf: Leaf) -> list[str]:

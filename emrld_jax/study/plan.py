@@ -10,8 +10,8 @@ from typing import NamedTuple
 
 from emrld_jax import algorithms
 from emrld_jax.demos.shipped import QUALITIES
+from emrld_jax.fields import setting
 from emrld_jax.runs.config import ConfigError
-from emrld_jax.settings import setting
 from emrld_jax.study.programs import Grid, Program
 from envs_jax import names
 
