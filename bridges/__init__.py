@@ -1,1 +1,1 @@
-"""Bridges between policies and robots; none is built yet."""
+"""Trained policies on robots: bundles, transports, the control loop, a simulated TurtleBot3."""

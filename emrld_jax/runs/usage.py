@@ -15,6 +15,7 @@ _TYPES = {
     "float": "a number",
     "bool": "true or false",
     "str": "a text",
+    "list[float]": "a list of numbers, such as [2,1]",
     "list[int]": "a list of whole numbers, such as [100,100]",
     "list[str]": "a list of names, such as [point2d,half_cheetah]",
     "dict[str, list[float]]": "vmap.SETTING=[NUMBER,NUMBER,...]",

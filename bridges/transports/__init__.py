@@ -1,0 +1,1 @@
+"""Ways to reach a robot: rclpy, DDS without ROS, and memory."""

@@ -1,0 +1,95 @@
+"""What every transport offers: one end for the bridge, one for a simulated robot."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Protocol
+
+from bridges.messages import BridgeError, Command, Odometry
+from emrld_jax.fields import setting
+
+
+class TransportError(BridgeError):
+    """The other side cannot be reached, or does not understand us; the message says what to do."""
+
+
+@dataclass
+class LinkSettings:
+    """How the other side is reached."""
+
+    domain_id: int | None = setting(
+        None, "ROS domain; null: ROS_DOMAIN_ID, or 0", at_least=0, at_most=101
+    )
+    namespace: str = setting("", "of the robot's topics; empty: none")
+    peers: list[str] = setting(
+        [], "addresses to look for the robot at, where multicast does not work (dds)"
+    )
+    interface: str | None = setting(None, "network interface or its address; null: the system's")
+    command_type: str = setting(
+        "auto",
+        "what the robot takes as velocity command; auto: what discovery says",
+        choices=("auto", "twist", "twist_stamped"),
+    )
+    connect_timeout: float = setting(10.0, "s to wait for the robot to be found", above=0)
+
+
+class RobotLink(Protocol):
+    """The bridge's end. All methods are called from one thread; times are `bridges.clock` ones."""
+
+    @property
+    def command_type(self) -> str:
+        """What commands are sent as, one of COMMAND_TYPES; known once it is open."""
+        ...
+
+    def open(self) -> None:
+        """Connects: returns when a robot that listens to our kind of command has been found.
+
+        Raises:
+            TransportError: none is there in time, or it takes another type of command.
+        """
+        ...
+
+    def wait(self, timeout: float) -> bool:
+        """Returns when odometry is there to take (True), or after `timeout` s (False)."""
+        ...
+
+    def take(self) -> Sequence[Odometry]:
+        """All odometry since the last call, in the order of arrival; never waits."""
+        ...
+
+    def send(self, command: Command) -> None:
+        """Publishes a velocity command."""
+        ...
+
+    def request_reset(self) -> None:
+        """Asks a simulated robot to go back to its start; its odometry shows when it has."""
+        ...
+
+    def close(self) -> None:
+        """Disconnects; may be called twice. Sends nothing: stopping is the robot's business."""
+        ...
+
+
+class RobotEnd(Protocol):
+    """A simulated robot's end."""
+
+    def open(self) -> None:
+        """Begins to listen."""
+        ...
+
+    def publish(self, odometry: Odometry, covariance: Sequence[float]) -> None:
+        """Publishes odometry; the covariance of x, y, theta is its diagonal, 3 numbers."""
+        ...
+
+    def take_commands(self) -> Sequence[Command]:
+        """All commands since the last call, oldest first; never waits."""
+        ...
+
+    def take_resets(self) -> int:
+        """How many resets have been asked for since the last call."""
+        ...
+
+    def close(self) -> None:
+        """Disconnects; may be called twice."""
+        ...
