@@ -91,10 +91,12 @@ def main() -> None:
     parser.add_argument("--runs", type=Path, default=Path("runs/baselines"))
     parser.add_argument("--env", default="point2d", choices=names())
     parser.add_argument("--algos", nargs="+", default=BASELINES, choices=COMPARED)
+    parser.add_argument("--iterations", type=int, help="of each training (else the environment's)")
     parser.add_argument("--table", action="store_true", help="only tabulate what is finished")
     options = parser.parse_args()
+    shortened = (f"meta.iterations={options.iterations}",) if options.iterations else ()
     programs = [
-        Program(options.runs / str(k), options.env, demos, algo, (SEED,), start, own)
+        Program(options.runs / str(k), options.env, demos, algo, (SEED,), (*start, *shortened), own)
         for algo in options.algos
         for k, start in enumerate(STARTS)
         for own in [grid(options.env, algo)]
