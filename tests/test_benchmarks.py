@@ -10,7 +10,8 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from benchmarks import ablation, communication, compare, growth, targets
+import envs_jax
+from benchmarks import ablation, communication, compare, dense, growth, targets
 from benchmarks.flops import matrix_flops
 from benchmarks.jobs import job
 from emrld_jax.study.programs import Program
@@ -113,3 +114,23 @@ def test_what_a_program_tells_is_counted_with_its_loops() -> None:
 def test_a_fitted_slope_is_the_exponent() -> None:
     rows = [{"value": x, "seconds": [0.5 * x**1.5] * 2} for x in (2, 4, 8, 16)]
     np.testing.assert_allclose(growth.fit(rows), (1.5, 0.5))
+
+
+def test_aim_is_parted_into_bias_and_spread() -> None:
+    """Two tasks: one always 3 and 4 m off; one 1 m off to this side and to the other."""
+    rest = np.array([[[3.0, 4.0], [3.0, 4.0]], [[1.0, 0.0], [-1.0, 0.0]]])
+
+    found = dense.Aim(rest)
+
+    assert found.bias == pytest.approx((25 / 2) ** 0.5)
+    assert found.spread == pytest.approx(0.5**0.5)
+
+
+def test_a_controller_without_noise_returns_the_sum_of_its_distances() -> None:
+    """20 steps of 0.1 m; beside the goal the episode goes on, at that distance."""
+    env = envs_jax.make("point2d", reward="dense")
+    goals = np.asarray(env.train_tasks().goal)
+    exact, short = np.zeros((12, 1, 2)), -0.1 * (goals / 2)[:, None]
+
+    assert dense.controlled_return(env, 1e-9, exact) == pytest.approx(-19.0, abs=1e-2)
+    assert dense.controlled_return(env, 1e-9, short) == pytest.approx(-19.0 - 81 * 0.1, abs=1e-2)
