@@ -6,7 +6,7 @@ share one meta-policy, so they are no independent samples: runs are drawn, never
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -126,6 +126,19 @@ def adaptations(group: Group) -> list[Adaptation]:
         if split in SPLITS:
             found.append(_adaptation(split, name, [entry["stages"] for entry in entries]))
     return found
+
+
+def adaptation_of(group: Group, split: str, is_meant: Callable[[str], bool]) -> Adaptation | None:
+    """Of one evaluation of each of the group's runs that has some whose names are meant.
+
+    Args:
+        group: runs that differ in their seed.
+        split: "train" or "test", of the evaluations.
+        is_meant: told an evaluation's name; of several the first one by name counts.
+    """
+    found = [[own for name, own in run.evaluations.items() if is_meant(name)] for run in group.runs]
+    tables = [own[0]["stages"] for own in found if own]
+    return _adaptation(split, "evaluations", tables) if tables else None
 
 
 def _adaptation(split: str, source: str, tables: list[list[dict[str, Any]]]) -> Adaptation:

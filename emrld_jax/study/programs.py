@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import re
 import shutil
 import sys
 from itertools import groupby, product
@@ -16,6 +17,14 @@ EPISODES = 50  # a task, of an evaluation after several adaptation steps
 
 Grid = tuple[tuple[str, tuple[float, ...]], ...]  # numbers by name, and the values of each
 Point = tuple[float, ...]  # of a grid: a value of each of its numbers
+
+
+def is_evaluation(name: str, steps: int) -> bool:
+    """Whether a folder of this name holds a study's evaluation after up to so many steps.
+
+    A number is behind the name if an evaluation was stopped before.
+    """
+    return bool(re.fullmatch(rf"test-steps{steps}-episodes{EPISODES}-seed0(_\d+)?", name))
 
 
 class Program(NamedTuple):
@@ -94,9 +103,15 @@ class Program(NamedTuple):
     @property
     def _unevaluated(self) -> list[RunFolder]:
         """Runs that have no evaluation after `steps` adaptation steps."""
-        name = f"test-steps{self.steps}-*/evaluation.json"
-        there = [f for f in self.folders if not f.diverged.is_file()]
-        return [f for f in there if self.steps and not any(f.evaluations.glob(name))]
+        there = [f for f in self.folders if self.steps and not f.diverged.is_file()]
+        return [
+            folder
+            for folder in there
+            if not any(
+                is_evaluation(path.parent.name, self.steps)
+                for path in folder.evaluations.glob("*/evaluation.json")
+            )
+        ]
 
     def _evaluation(self, folder: RunFolder) -> list[str]:
         chosen = [f"run={folder.path}", "tasks=test", f"adapt.num_steps={self.steps}"]

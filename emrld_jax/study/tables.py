@@ -5,12 +5,14 @@ from __future__ import annotations
 import csv
 import io
 from collections.abc import Sequence
+from functools import partial
 
 from emrld_jax.analysis.comparisons import compare
 from emrld_jax.analysis.groups import Group
 from emrld_jax.analysis.loading import NONE, SPLITS
-from emrld_jax.analysis.scores import MEASURES, Cell, Row, headline
+from emrld_jax.analysis.scores import MEASURES, Adaptation, Cell, Row, adaptation_of, headline
 from emrld_jax.runs.report import SPLITS as SPLIT_WORDS
+from emrld_jax.study.programs import is_evaluation
 
 WORDS = {split: f"{words} tasks" for split, words in SPLIT_WORDS.items()}
 WHEN = ("before", "after")
@@ -25,11 +27,11 @@ def results_csv(groups: Sequence[Group]) -> str:
     for row in headline(groups):
         group = row.group
         for (split, measure, when), cell in row.cells.items():
-            names = (group.environment, group.demonstrations, group.label)
             estimate = [f"{float(x):.6g}" for x in cell.estimate]
             shown = row.demonstrated.get(split, float("nan"))
             costs = (f"{shown:.6g}", f"{row.seconds:.1f}", f"{row.env_steps:.0f}")
-            writer.writerow([*names, cell.seeds, WORDS[split], measure, when, *estimate, *costs])
+            what = (cell.seeds, WORDS[split], measure, when)
+            writer.writerow([*_names(group), *what, *estimate, *costs])
     return text.getvalue()
 
 
@@ -58,6 +60,46 @@ def _figure(cell: Cell | None, form: str) -> str:
         return "--"
     value, low, high = (format(float(x), form) for x in cell.estimate)
     return value if cell.seeds < 2 else f"{value} [{low}, {high}]"
+
+
+def adaptation_csv(groups: Sequence[Group], steps: int) -> str:
+    """A line for each group: return and success on held-out tasks after 0, 1, .. `steps` steps.
+
+    Empty but for its head if no run was evaluated after so many.
+    """
+    text = io.StringIO()
+    writer = csv.writer(text, lineterminator="\n")
+    figures = [f"{measure}_{k}" for measure in MEASURES for k in range(steps + 1)]
+    columns = [f"{figure}{end}" for figure in figures for end in ("", "_low", "_high")]
+    writer.writerow(["environment", "demonstrations", "algorithm", "seeds", *columns])
+    for group, found in _adapted(groups, steps):
+        cells = [cell for measure in MEASURES for cell in found.cells[measure]]
+        numbers = [f"{float(x):.6g}" for cell in cells for x in cell.estimate]
+        writer.writerow([*_names(group), cells[0].seeds, *numbers])
+    return text.getvalue()
+
+
+def adaptation_markdown(groups: Sequence[Group], steps: int) -> str:
+    """Return on held-out tasks after 0, 1, .. `steps` steps, with 95 % intervals over seeds."""
+    after = [f"after {k} step{'s' * (k != 1)}" for k in range(steps + 1)]
+    columns = ["environment", "demonstrations", "algorithm", "seeds", *after]
+    lines = [f"| {' | '.join(columns)} |", "|---" * len(columns) + "|"]
+    for group, found in _adapted(groups, steps):
+        cells = found.cells["return"]
+        words = [*_names(group), str(cells[0].seeds), *(_figure(cell, ".1f") for cell in cells)]
+        lines.append(f"| {' | '.join(words)} |")
+    return "\n".join(lines) + "\n"
+
+
+def _adapted(groups: Sequence[Group], steps: int) -> list[tuple[Group, Adaptation]]:
+    """The groups that a study has evaluated after up to so many steps."""
+    own = partial(is_evaluation, steps=steps)
+    found = [(group, adaptation_of(group, "test", own)) for group in groups]
+    return [(group, each) for group, each in found if each is not None]
+
+
+def _names(group: Group) -> tuple[str, str, str]:
+    return group.environment, group.demonstrations, group.label
 
 
 def improvements_markdown(groups: Sequence[Group]) -> str:

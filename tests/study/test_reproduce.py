@@ -18,7 +18,7 @@ from matplotlib.figure import Figure
 from emrld_jax.analysis.groups import Group, group_runs
 from emrld_jax.analysis.loading import load_runs
 from emrld_jax.study import figures, tables
-from tests.analysis.conftest import write_run
+from tests.analysis.conftest import ITERATIONS, write, write_run
 from tests.conftest import Command
 
 
@@ -115,6 +115,50 @@ def test_tables_have_the_interquartile_mean_and_the_seeds(tmp_path: Path) -> Non
     assert "| point2d | optimal (100.0) | emrld | 4 | 51.0 [" in text
 
 
+def evaluate(run: Path, name: str, returns: list[float], successes: list[float]) -> None:
+    """Writes an evaluation after 0, 1, .. adaptation steps into a made-up run."""
+    stages = [
+        {"adaptation_steps": k, "return": value, "success": success}
+        for k, (value, success) in enumerate(zip(returns, successes, strict=True))
+    ]
+    (run / "evaluations" / name).mkdir(parents=True)
+    entry = {"stages": stages, "iteration": ITERATIONS, "configuration": {"tasks": "test"}}
+    write(run / "evaluations" / name / "evaluation.json", entry)
+
+
+def test_a_table_has_the_returns_after_each_number_of_steps(tmp_path: Path) -> None:
+    """Five seeds: without one at each end, the mean of three."""
+    after = {1: (70.0, 80.0, 30.0, 75.0, 90.0), 2: (1.0, 2.0, 9.0, 3.0, -5.0)}
+    own = "test-steps2-episodes50-seed0"
+    for seed in range(5):
+        run = write_run(tmp_path / f"a{seed}", seed=seed)
+        name = f"{own}_2" if seed == 4 else own  # one that was stopped, and made again
+        returns = [0.0, *(column[seed] for column in after.values())]
+        evaluate(run, name, returns, [0.0, 0.25 * seed, 1.0])
+        evaluate(run, f"{own}-deterministic", [1e6] * 3, [0.0] * 3)
+        evaluate(run, "test-steps3-episodes50-seed0", [1e6] * 4, [0.0] * 4)
+    one = write_run(tmp_path / "b", algo="maml")
+    evaluate(one, own, [1.5, 2.5, 3.5], [0.0, 0.0, 0.0])
+    write_run(tmp_path / "c", algo="gmps")  # not evaluated
+    groups = groups_in(tmp_path)
+
+    head, line, first, second = tables.adaptation_markdown(groups, 2).splitlines()
+    columns = "environment | demonstrations | algorithm | seeds"
+    assert head == f"| {columns} | after 0 steps | after 1 step | after 2 steps |"
+    assert line == "|---|---|---|---|---|---|---|"
+    assert first.startswith("| point2d | optimal | emrld | 5 | 0.0 [0.0, 0.0] | 75.0 [")
+    assert first.split(" | ")[6].startswith("2.0 [")
+    assert second == "| point2d | none | maml | 1 | 1.5 | 2.5 | 3.5 |"
+
+    rows = list(csv.DictReader(tables.adaptation_csv(groups, 2).splitlines()))
+    assert [row["algorithm"] for row in rows] == ["emrld", "maml"]
+    assert float(rows[0]["return_1"]) == 75.0
+    assert float(rows[0]["success_1"]) == 0.5
+    # the middle three of five draws lie within the seeds' returns
+    assert 30.0 <= float(rows[0]["return_1_low"]) < 75.0 < float(rows[0]["return_1_high"]) <= 90.0
+    assert (rows[1]["return_2"], rows[1]["return_2_low"], rows[1]["seeds"]) == ("3.5", "nan", "1")
+
+
 def test_algorithms_without_demonstrations_stand_beside_each_set(tmp_path: Path) -> None:
     for seed in range(2):
         write_run(tmp_path / f"a{seed}", seed=seed, value=30.0, demos="suboptimal")
@@ -175,6 +219,10 @@ def test_all_figures_from_one_command_that_is_stopped_once(
     # the sensitivity of EMRLD-WS takes the curves' run of it
     others = {("point2d", "emrld_ws", "1"), ("two_wheeled_drift", "emrld", "1")}
     assert found == {("point2d", "emrld", "1"), *others}
+    steps = list(csv.DictReader((out / "adaptation_steps.csv").read_text().splitlines()))
+    assert {row["environment"] for row in steps} == {"point2d", "two_wheeled_drift"}
+    assert all(float(row["return_2"]) >= 0 for row in steps)
+    assert "| after 2 steps |" in (out / "adaptation_steps.md").read_text()
     assert "w_rl=0.4" in (out / "weights.md").read_text()
     assert "test-steps2" in (out / "report.html").read_text()
     study = json.loads((out / "study.json").read_text())
