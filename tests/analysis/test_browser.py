@@ -67,15 +67,20 @@ def chromium(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Any]:
     driver.quit()
 
 
-@pytest.fixture(params=SIZES)
-def page(request: pytest.FixtureRequest, chromium: Any, report: Path) -> Iterator[Any]:
-    """The report, opened; at the end the console must hold no word."""
-    width, height = SIZES[request.param]
+def open_page(chromium: Any, report: Path, width: int, height: int) -> None:
+    """Opens a report in a window of this size."""
     chromium.execute_cdp_cmd(
         "Emulation.setDeviceMetricsOverride",
         {"width": width, "height": height, "deviceScaleFactor": 1, "mobile": width < 600},
     )
     chromium.get(report.as_uri())
+
+
+@pytest.fixture(params=SIZES)
+def page(request: pytest.FixtureRequest, chromium: Any, report: Path) -> Iterator[Any]:
+    """The report, opened; at the end the console must hold no word."""
+    width, height = SIZES[request.param]
+    open_page(chromium, report, width, height)
     yield chromium
     assert chromium.get_log("browser") == []
     inner, whole = chromium.execute_script(
@@ -161,21 +166,58 @@ def test_the_paths_of_another_run_and_split(page: Any) -> None:
 
 
 def test_tables_sort(page: Any) -> None:
-    heading = "#results th:nth-child(5)"
-    returns = [cell.split(" ")[0] for cell in column(page, "results", 4)]
+    heading = "#results th:nth-child(4)"
+    returns = [cell.split(" ")[0] for cell in column(page, "results", 3)]
     assert sorted(returns) == ["12.5", "12.5", "62.5", "62.5", "82.5", "82.5"]
     press(page, f"{heading} button")
-    down = [float(cell.split(" ")[0]) for cell in column(page, "results", 4)]
+    down = [float(cell.split(" ")[0]) for cell in column(page, "results", 3)]
     assert down == [82.5, 82.5, 62.5, 62.5, 12.5, 12.5]
     assert find(page, heading).get_attribute("aria-sort") == "descending"
     press(page, f"{heading} button")
-    assert [float(cell.split(" ")[0]) for cell in column(page, "results", 4)] == down[::-1]
+    assert [float(cell.split(" ")[0]) for cell in column(page, "results", 3)] == down[::-1]
     press(page, "#results th:first-child button")
     names = page.execute_script(
         "return [...document.querySelectorAll('#results tbody tr')]"
         ".map(row => row.cells[0].querySelector('span').firstChild.textContent)"
     )
     assert names == ["emrld", "emrld", "emrld_ws", "emrld_ws", "maml", "maml"]
+
+
+def test_the_results_fit_on_a_desktop(chromium: Any, tmp_path: Path) -> None:
+    """Large numbers, long names, and returns below 0; on a phone the table scrolls in its box."""
+    for algo, value in (("emrld_ws", -1234.5), ("maml", 310.5)):
+        for seed in range(2):
+            names = {"environment": "two_wheeled_drift", "demos": LONG, "algo": algo}
+            write_run(tmp_path / algo / str(seed), seed=seed, value=value + 31.0 * seed, **names)
+    write_report(group_runs(load_runs([tmp_path])), tmp_path / "report.html")
+    widths = (
+        "const box = document.querySelector('#results').parentElement;"
+        "return [box.clientWidth, box.scrollWidth, document.documentElement.scrollWidth]"
+    )
+    open_page(chromium, tmp_path / "report.html", *SIZES["desktop"])
+    seen, whole, _ = chromium.execute_script(widths)
+    assert 900 < whole <= seen
+    assert "-1219.0 [-1234.5, -1203.5]" in column(chromium, "results", 6)
+    open_page(chromium, tmp_path / "report.html", *SIZES["phone"])
+    seen, whole, page = chromium.execute_script(widths)
+    assert seen < whole
+    assert page <= SIZES["phone"][0]
+
+
+def test_a_bar_holds_returns_below_zero_too(chromium: Any, tmp_path: Path) -> None:
+    """Its left end is the lowest return, its right end the demonstrations' (80)."""
+    write_run(tmp_path / "a", value=-70.0)  # -80 on held-out tasks
+    write_run(tmp_path / "b", value=10.0, algo="gmps")
+    write_report(group_runs(load_runs([tmp_path])), tmp_path / "report.html")
+    open_page(chromium, tmp_path / "report.html", *SIZES["desktop"])
+    places = "return [...document.querySelectorAll('#results {}')].map(n => +n.getAttribute('{}'))"
+    dots = chromium.execute_script(places.format(".dot", "cx"))
+    starts, ends, shown = (
+        chromium.execute_script(places.format(f".{name}", end))
+        for name, end in (("rule", "x1"), ("rule", "x2"), ("reference", "x1"))
+    )
+    assert dots == [starts[0], (starts[1] + ends[1]) / 2]  # 0 is in the middle of -80 and 80
+    assert shown == ends
 
 
 def test_curves_against_other_axes(page: Any) -> None:

@@ -22,8 +22,8 @@ function header() {
 
 function resultsSection() {
   section("overview", "Results", "Interquartile mean over seeds of the final evaluation, with 95 % "
-    + "bootstrap intervals; \u201cafter\u201d is after all adaptation steps. The dashed mark is "
-    + "the demonstrations\u2019 return. A click on a heading sorts.", resultTable());
+    + "bootstrap intervals; \u201cafter\u201d is after all adaptation steps. The dashed mark, "
+    + "and the number below it, is the demonstrations\u2019 return. A click on a heading sorts.", resultTable());
 }
 
 function curvesSection() {

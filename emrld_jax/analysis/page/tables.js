@@ -44,67 +44,64 @@ function compare(a, b, down) {
   return down ? -sign : sign;
 }
 
+// what a bar shows, on held-out tasks if there are any: the return after adaptation, and that of
+// the demonstrations
+function inBar(group) {
+  const split = group.cells["test/return/after"] ? "test" : "train";
+  return { cell: group.cells[`${split}/return/after`], shown: group.demonstrated[split] };
+}
 function resultTable() {
-  const highest = {};  // of each problem: the end of its bars
+  const ends = {};  // of each problem: those of its bars
   for (const group of DATA.groups) {
-    const ends = ["train", "test"].flatMap((split) => {
-      const cell = group.cells[`${split}/return/after`];
-      return [cell ? cell.high || cell.value : 0, group.demonstrated[split] || 0];
-    });
-    const name = problemOf(group);
-    highest[name] = Math.max(highest[name] || 1e-9, ...ends);
+    const { cell, shown } = inBar(group);
+    const values = [cell.low, cell.value, cell.high, shown].map((x) => x || 0);
+    const name = problemOf(group), [low, high] = ends[name] || [0, 1e-9];
+    ends[name] = [Math.min(low, ...values), Math.max(high, ...values)];
   }
   const figure = (split, measure, when) => ({
-    name: `${measure} ${when}, ${split === "test" ? "held-out" : "training"}`, number: true,
+    name: `${measure} ${when}, ${split === "test" ? "held\u2011out" : "training"}`, number: true,
     of: (group) => {
       const cell = group.cells[`${split}/${measure}/${when}`];
       if (!cell) return { text: "\u2013", sort: null };
       const form = formOf(measure), words = withInterval(cell, form);
       const value = form(cell.value), rest = words.slice(value.length);
-      const few = cell.seeds === group.seeds.length ? "" : ` (${seedsText(cell.seeds)})`;
+      const few = cell.seeds === group.seeds.length ? null : ` (${seedsText(cell.seeds)})`;
       return { sort: cell.value, node: el("span", {}, value,
-        el("span", { class: "interval" }, rest + few)) };
+        [rest, few].map((line) => line && el("span", { class: "interval" }, line))) };
     },
   });
   return table("results", [
     { name: "algorithm", class: "name",
       of: (group) => ({ node: el("span", {}, group.label, el("span", { class: "sub" },
         problemOf(group))), sort: group.label, color: colorOf(group.label) }) },
-    { name: "environment", class: "problem", of: (group) => group.environment },
-    { name: "demonstrations", class: "problem", of: (group) => group.demonstrations },
+    { name: "environment, demonstrations", class: "problem",
+      of: (group) => ({ node: el("span", {}, group.environment, el("span", { class: "second" },
+        ` ${group.demonstrations}`)), sort: problemOf(group) }) },
     { name: "seeds", number: true, of: (group) => group.seeds.length },
     figure("test", "return", "after"),
-    { name: "beside the demonstrations", of: (group) => {
-      const end = highest[problemOf(group)];
-      const cell = group.cells["test/return/after"] || group.cells["train/return/after"];
-      return { node: bar(group, cell, end), sort: cell ? cell.value / end : null };
+    { name: "beside the demon\u00adstrations\u2019 return", of: (group) => {
+      const [low, high] = ends[problemOf(group)], { cell, shown } = inBar(group);
+      return { node: el("span", {}, bar(group, low, high), el("span", { class: "second" },
+        shown.toFixed(1))), sort: (cell.value - low) / (high - low) };
     } },
     figure("test", "success", "after"),
     figure("train", "return", "after"), figure("train", "success", "after"),
     figure("test", "return", "before"),
-    { name: "demonstrations' return", number: true, of: (group) => {
-      const value = group.demonstrated.test === undefined ? group.demonstrated.train
-        : group.demonstrated.test;
-      return { text: value === null ? "\u2013" : value.toFixed(1), sort: value };
-    } },
-    { name: "meta-iterations", number: true, of: (group) => group.iterations },
-    { name: "environment steps", number: true,
-      of: (group) => ({ text: short(group.envSteps), sort: group.envSteps }) },
+    { name: "environ\u00adment steps", number: true,
+      of: (group) => ({ sort: group.envSteps, node: el("span", {}, short(group.envSteps),
+        el("span", { class: "second" }, ` ${group.iterations} iterations`)) }) },
     { name: "training took", number: true,
       of: (group) => ({ text: duration(group.seconds), sort: group.seconds }) },
-  ], DATA.groups, { class: "pinned" });
+  ], DATA.groups, { class: "pinned narrow" });
 }
-function bar(group, cell, highest) {
-  const width = 150, x = scale(0, highest, 6, width - 6);
-  const clip = (value) => Math.min(width - 4, Math.max(4, x(value)));
+function bar(group, low, high) {
+  const width = 100, x = scale(low, high, 6, width - 6), { cell, shown } = inBar(group);
   const node = svg("svg", { class: "bar", width, height: 20, color: colorOf(group.label), "aria-hidden": "true" },
-    svg("line", { class: "rule", x1: x(0), x2: x(highest), y1: 10, y2: 10 }));
-  const shown = group.demonstrated.test || group.demonstrated.train;
-  if (shown) node.append(svg("line", { class: "reference", x1: clip(shown), x2: clip(shown), y1: 2,
-    y2: 18 }));
-  if (cell && cell.low !== null) node.append(svg("line", { class: "whisker", x1: clip(cell.low),
-    x2: clip(cell.high), y1: 10, y2: 10 }));
-  if (cell) node.append(svg("circle", { class: "dot", cx: clip(cell.value), cy: 10, r: 4.5 }));
+    svg("line", { class: "rule", x1: x(low), x2: x(high), y1: 10, y2: 10 }),
+    svg("line", { class: "reference", x1: x(shown), x2: x(shown), y1: 2, y2: 18 }));
+  if (cell.low !== null) node.append(svg("line", { class: "whisker", x1: x(cell.low),
+    x2: x(cell.high), y1: 10, y2: 10 }));
+  node.append(svg("circle", { class: "dot", cx: x(cell.value), cy: 10, r: 4.5 }));
   return node;
 }
 
