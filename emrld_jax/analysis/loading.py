@@ -20,6 +20,7 @@ from emrld_jax.runs.provenance import read_provenance
 from emrld_jax.runs.saved import by_full_name
 
 NONE = "none"  # in place of demonstrations, of algorithms that take none
+SPARSE = "sparse"  # the reward of all runs that do not say another
 SPLITS = ("train", "test")  # training and held-out tasks
 PARTS = ("config.yaml", "metrics.jsonl", "results.json", "provenance.json")  # of a run folder
 NEEDED = ("algo", "demos", "seed", "env.name", "meta.iterations", "adapt.num_steps")
@@ -37,7 +38,14 @@ class Run(NamedTuple):
 
     @property
     def environment(self) -> str:
-        return str(self.settings["env.name"])
+        """Its name, and the reward if it is not sparse: returns are then no others' equals."""
+        name = str(self.settings["env.name"])
+        return name if self.reward == SPARSE else f"{name} ({self.reward} reward)"
+
+    @property
+    def reward(self) -> str:
+        """The kind of reward."""
+        return str(self.settings.get("env.reward", SPARSE))
 
     @property
     def algorithm(self) -> str:

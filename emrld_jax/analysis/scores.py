@@ -12,7 +12,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from emrld_jax.analysis.groups import Group
-from emrld_jax.analysis.loading import SPLITS, Run
+from emrld_jax.analysis.loading import SPARSE, SPLITS, Run
 from emrld_jax.analysis.statistics import Estimate, aggregate
 
 MEASURES = ("return", "success")
@@ -39,9 +39,16 @@ def scores(group: Group, split: str, measure: str = "return", stage: int = LAST)
 
 
 def demonstrated(run: Run, split: str, measure: str = "return") -> float | None:
-    """The demonstrations' mean return or success on the split's tasks."""
-    results = run.results.get(split)
-    return float(results["demonstrations"].get(measure, np.nan)) if results else None
+    """The demonstrations' mean return or success on the split's tasks.
+
+    None if the run has none of them, or tells what they return by another reward than its own:
+    versions of before kept the sparse one in any case.
+    """
+    if not (results := run.results.get(split)):
+        return None
+    shown = results["demonstrations"]
+    same = shown.get("reward", SPARSE) == run.reward
+    return float(shown.get(measure, np.nan)) if same else None
 
 
 def references(groups: Iterable[Group], split: str) -> dict[str, float]:

@@ -15,6 +15,7 @@ from emrld_jax.demos import DemoSet
 from emrld_jax.runs.bound_picture import theory
 from emrld_jax.runs.checkpoints import Progressed
 from emrld_jax.runs.config import TrainConfig
+from emrld_jax.runs.demonstrated import demonstrated
 from emrld_jax.runs.episodes import FINAL, can_keep, kept_episodes, write_episodes
 from emrld_jax.runs.evaluation import Evaluation, evaluator, summarize
 from emrld_jax.runs.files import write_json
@@ -76,7 +77,7 @@ def _report(
             evaluation = evaluate(run.state.params, split_key, demos.tasks, demos.demos)
             results[split] = {
                 **summarize(evaluation, config.seed),
-                "demonstrations": _demonstrated(demos),
+                "demonstrations": demonstrated(setup.env, demos),
             }
             panels += before_and_after(words, demos, evaluation)
             if can_keep(setup.env):
@@ -114,11 +115,6 @@ def with_interval(entry: dict[str, Any], name: str, form: str) -> str:
     """A mean with its interval, such as 78.1 [75.0, 80.2]."""
     low, high = entry[f"{name}_interval"]
     return f"{entry[name]:{form}} [{low:{form}}, {high:{form}}]"
-
-
-def _demonstrated(demos: DemoSet) -> dict[str, float]:
-    returns, success = np.asarray(demos.returns), np.asarray(demos.success)
-    return {"return": float(returns.mean()), "success": float(success.mean())}
 
 
 def _in_words(results: dict[str, Any]) -> str:

@@ -13,6 +13,7 @@ from matplotlib.patches import Circle
 
 from emrld_jax.analysis.curves import curve
 from emrld_jax.analysis.groups import Group, on_each_problem
+from emrld_jax.analysis.scores import demonstrated
 from emrld_jax.runs.config import ConfigError
 from emrld_jax.runs.episodes import FINAL, read_episodes
 from emrld_jax.runs.panels import BEFORE, save
@@ -126,8 +127,7 @@ def _panel(axes: Axes, lines: Sequence[Line], title: str, against: str) -> None:
 def _demonstrated(axes: Axes, groups: Sequence[Group]) -> None:
     """What the demonstrations return, as a dashed line."""
     own = [g for g in groups if g.runs[0].demonstrations == g.demonstrations]
-    if own:
-        shown = own[0].runs[0].results["train"]["demonstrations"]["return"]
+    if own and (shown := demonstrated(own[0].runs[0], "train")) is not None:
         axes.axhline(shown, color="black", linestyle="--", linewidth=0.8, label="demonstrations")
 
 

@@ -48,8 +48,9 @@ def _line(row: Row) -> str:
     group = row.group
     cells = [row.cells.get((split, measure, "after")) for split in SPLITS for measure in MEASURES]
     forms = [".1f", ".0%"] * len(SPLITS)
-    shown = f" ({row.demonstrated.get('train', float('nan')):.1f})" * (group.demonstrations != NONE)
-    demos = f"{group.demonstrations}{shown}"
+    demos = group.demonstrations
+    if demos != NONE and "train" in row.demonstrated:
+        demos += f" ({row.demonstrated['train']:.1f})"
     figures = [_figure(cell, form) for cell, form in zip(cells, forms, strict=True)]
     words = [group.environment, demos, group.label, str(len(group.seeds)), *figures]
     return f"| {' | '.join([*words, f'{row.seconds:.0f}'])} |"

@@ -187,8 +187,9 @@ def test_the_results_fit_on_a_desktop(chromium: Any, tmp_path: Path) -> None:
     """Large numbers, long names, and returns below 0; on a phone the table scrolls in its box."""
     for algo, value in (("emrld_ws", -1234.5), ("maml", 310.5)):
         for seed in range(2):
-            names = {"environment": "two_wheeled_drift", "demos": LONG, "algo": algo}
-            write_run(tmp_path / algo / str(seed), seed=seed, value=value + 31.0 * seed, **names)
+            own: dict[str, Any] = {"environment": "two_wheeled_drift", "demos": LONG}
+            path = tmp_path / algo / str(seed)
+            write_run(path, seed=seed, value=value + 31.0 * seed, algo=algo, **own)
     write_report(group_runs(load_runs([tmp_path])), tmp_path / "report.html")
     widths = (
         "const box = document.querySelector('#results').parentElement;"
@@ -218,6 +219,16 @@ def test_a_bar_holds_returns_below_zero_too(chromium: Any, tmp_path: Path) -> No
     )
     assert dots == [starts[0], (starts[1] + ends[1]) / 2]  # 0 is in the middle of -80 and 80
     assert shown == ends
+
+
+def test_demonstrations_of_another_reward_are_not_shown(chromium: Any, tmp_path: Path) -> None:
+    write_run(tmp_path / "a", value=-60.0, env__reward="dense")
+    write_report(group_runs(load_runs([tmp_path])), tmp_path / "report.html")
+    open_page(chromium, tmp_path / "report.html", *SIZES["desktop"])
+    assert column(chromium, "results", 1) == ["point2d (dense reward) optimal"]
+    assert column(chromium, "results", 4) == ["\u2013"]
+    assert not chromium.find_elements("css selector", "#results .reference")
+    assert chromium.get_log("browser") == []
 
 
 def test_curves_against_other_axes(page: Any) -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -95,6 +96,25 @@ def test_returns_are_divided_by_the_best_demonstrations(make_run: MakeRun, tmp_p
     by_problem = {own.problems[0][1]: own for own in compare(found, "train", "return")[-2:]}
     assert by_problem["suboptimal"].competitors[0].score.value == 0.6
     assert by_problem["optimal"].competitors[0].score.value == 0.9
+
+
+def test_dense_returns_stand_apart_beside_their_own_demonstrations(
+    make_run: MakeRun, tmp_path: Path
+) -> None:
+    dense: dict[str, Any] = {"env__reward": "dense", "value": -60.0}
+    own = table(-60.0, -19.0)
+    own["demonstrations"]["reward"] = "dense"
+    write(make_run("new", **dense) / "results.json", {"train": own, "test": None})
+    make_run("old", algo="maml", **dense)  # of a version that told the sparse return, 100
+    make_run("sparse", value=70.0)
+    found = {row.group.problem: row for row in headline(groups(tmp_path))}
+    name = "point2d (dense reward)"
+    assert found[name, "optimal"].demonstrated == {"train": -19.0}
+    assert found[name, "none"].demonstrated == {}
+    assert found["point2d", "optimal"].demonstrated == {"train": 100.0, "test": 80.0}
+    assert references(groups(tmp_path), "train") == {"point2d": 100.0}  # none below 0
+    problems = [own.problems for own in compare(groups(tmp_path), "train", "return")]
+    assert problems == [(("point2d", "optimal"),)]
 
 
 def test_algorithms_are_compared_over_what_they_share(make_run: MakeRun, tmp_path: Path) -> None:

@@ -115,6 +115,16 @@ def test_tables_have_the_interquartile_mean_and_the_seeds(tmp_path: Path) -> Non
     assert "| point2d | optimal (100.0) | emrld | 4 | 51.0 [" in text
 
 
+def test_tables_leave_out_what_demonstrations_return_by_another_reward(
+    tmp_path: Path, drawn: list[Figure]
+) -> None:
+    write_run(tmp_path / "a", env__reward="dense")
+    groups = groups_in(tmp_path)
+    assert "| point2d (dense reward) | optimal | emrld |" in tables.results_markdown(groups)
+    figures.draw_curves(groups, "iterations", tmp_path / "curves")
+    assert labels(drawn[0].axes[0]) == ["emrld (1)"]
+
+
 def evaluate(run: Path, name: str, returns: list[float], successes: list[float]) -> None:
     """Writes an evaluation after 0, 1, .. adaptation steps into a made-up run."""
     stages = [

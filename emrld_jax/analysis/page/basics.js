@@ -28,6 +28,7 @@ function colorOf(label) {
   return number >= 0 && number < 8 ? `var(--s${number})` : "var(--other)";
 }
 
+const isNumber = (value) => typeof value === "number";
 function short(value) {  // of any size, for axes and readings
   if (value === null || value === undefined) return "\u2013";
   const size = Math.abs(value);

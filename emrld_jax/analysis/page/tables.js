@@ -82,7 +82,7 @@ function resultTable() {
     { name: "beside the demon\u00adstrations\u2019 return", of: (group) => {
       const [low, high] = ends[problemOf(group)], { cell, shown } = inBar(group);
       return { node: el("span", {}, bar(group, low, high), el("span", { class: "second" },
-        shown.toFixed(1))), sort: (cell.value - low) / (high - low) };
+        isNumber(shown) ? shown.toFixed(1) : "\u2013")), sort: (cell.value - low) / (high - low) };
     } },
     figure("test", "success", "after"),
     figure("train", "return", "after"), figure("train", "success", "after"),
@@ -97,8 +97,9 @@ function resultTable() {
 function bar(group, low, high) {
   const width = 100, x = scale(low, high, 6, width - 6), { cell, shown } = inBar(group);
   const node = svg("svg", { class: "bar", width, height: 20, color: colorOf(group.label), "aria-hidden": "true" },
-    svg("line", { class: "rule", x1: x(low), x2: x(high), y1: 10, y2: 10 }),
-    svg("line", { class: "reference", x1: x(shown), x2: x(shown), y1: 2, y2: 18 }));
+    svg("line", { class: "rule", x1: x(low), x2: x(high), y1: 10, y2: 10 }));
+  if (isNumber(shown)) node.append(svg("line", { class: "reference", x1: x(shown), x2: x(shown),
+    y1: 2, y2: 18 }));
   if (cell.low !== null) node.append(svg("line", { class: "whisker", x1: x(cell.low),
     x2: x(cell.high), y1: 10, y2: 10 }));
   node.append(svg("circle", { class: "dot", cx: x(cell.value), cy: 10, r: 4.5 }));
