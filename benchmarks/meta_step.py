@@ -81,11 +81,11 @@ class Bench:
         sizes = bucket_sizes(experience, needed)
 
         def loss(params: Any, experience: Any, old: Any) -> jax.Array:
-            objective = programs.objective(experience, demos, sizes, None, 1)
+            objective = programs.objective(experience, demos, None, sizes, None, 1)
             return objective.loss(objective.outputs(params), old)
 
         def outputs(params: Any, experience: Any) -> Any:
-            return programs.objective(experience, demos, sizes, None, 1).outputs(params)
+            return programs.objective(experience, demos, None, sizes, None, 1).outputs(params)
 
         old = jax.jit(outputs)(self.state.params, experience)
         gradient, value = jax.jit(jax.value_and_grad(loss)), jax.jit(loss)
@@ -105,7 +105,7 @@ class Bench:
         demos = self.part.demos
 
         def improve(state: MetaState, experience: Any) -> Any:
-            return learner.programs.improve(state, experience, demos, sizes, None)
+            return learner.programs.improve(state, experience, demos, None, sizes, None)
 
         program = jax.jit(improve)
         times = seconds(lambda: program(self.state, experience), self.repetitions)

@@ -44,6 +44,9 @@ class Demos(NamedTuple):
     mask: jax.Array  # [N], 1 where the step exists
 
 
+OuterDemos = Demos | None  # what the outer loss is to see; None: what adaptation sees
+
+
 class Played(NamedTuple):
     """One task's demonstrated actions as the environment takes them, open loop."""
 

@@ -32,17 +32,18 @@ _GRADIENT = ("meta.learning_rate", *_PROMP)
 _WEIGHTS = ("w_rl", "w_bc")
 _WARM_START = ("adapt.warm_start_rate",)
 _EPISODES = ("adapt.discount", "adapt.gae_lambda")
+_OUTER_DEMOS = ("outer_demos",)
 
 # settings that an algorithm has no use for, by their full name
 _UNUSED = {
-    "emrld": (*_WARM_START, *_GRADIENT),
-    "emrld_ws": _GRADIENT,
-    "maml": (*_WEIGHTS, *_WARM_START, *_GRADIENT),
+    "emrld": (*_WARM_START, *_GRADIENT, *_OUTER_DEMOS),
+    "emrld_ws": (*_GRADIENT, *_OUTER_DEMOS),
+    "maml": (*_WEIGHTS, *_WARM_START, *_GRADIENT, *_OUTER_DEMOS),
     "meta_bc": (*_WEIGHTS, *_WARM_START, *_TRPO, *_PROMP, *_EPISODES),
     "gmps": (*_WEIGHTS, *_WARM_START, *_TRPO, *_PROMP),
-    "promp": (*_WEIGHTS, *_WARM_START, *_TRPO),
-    "emaml": (*_WEIGHTS, *_WARM_START, *_GRADIENT),
-    "reptile": (*_WEIGHTS, *_WARM_START, *_TRPO, *_PROMP, "adapt.first_order"),
+    "promp": (*_WEIGHTS, *_WARM_START, *_TRPO, *_OUTER_DEMOS),
+    "emaml": (*_WEIGHTS, *_WARM_START, *_GRADIENT, *_OUTER_DEMOS),
+    "reptile": (*_WEIGHTS, *_WARM_START, *_TRPO, *_PROMP, *_OUTER_DEMOS, "adapt.first_order"),
 }
 _WITHOUT_DEMONSTRATIONS = ("maml", "promp", "emaml", "reptile")
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Iterable, Sequence
+from pathlib import Path
 from typing import Any, NamedTuple
 
 from emrld_jax.analysis.loading import NONE, Loaded, Run, Skipped
@@ -15,6 +16,7 @@ FREE = (
 )
 FREE_SECTIONS = ("vmap", "distributed.")
 DEMOS_FILE = "demonstrations' SHA-256"
+OUTER_DEMOS, AS_DEMOS = "outer_demos", "as demos"  # a setting, and that it is not given
 COMMIT = "commit"
 NOT_THERE = "(not a setting then)"  # of a version that did not have it
 
@@ -114,6 +116,9 @@ def compared(run: Run) -> dict[str, Any]:
         for name, value in run.settings.items()
         if name not in FREE and not name.startswith(FREE_SECTIONS)
     }
+    outer = run.provenance.get(OUTER_DEMOS)
+    name = Path(str(settings.get(OUTER_DEMOS))).stem
+    settings[OUTER_DEMOS] = f"{name} {str(outer['sha256'])[:10]}" if outer else AS_DEMOS
     if run.demonstrations == NONE:
         return settings
     return {**settings, DEMOS_FILE: str(run.provenance["demos"]["sha256"])[:10]}

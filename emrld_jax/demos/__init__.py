@@ -6,6 +6,7 @@ from emrld_jax.demos.archive import DemoError
 from emrld_jax.demos.format import (
     DemoFile,
     DemoSet,
+    check_same_tasks,
     check_tasks,
     empty,
     load,
@@ -19,6 +20,7 @@ __all__ = [
     "DemoError",
     "DemoFile",
     "DemoSet",
+    "check_same_tasks",
     "check_tasks",
     "empty",
     "load",

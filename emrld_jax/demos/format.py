@@ -137,22 +137,39 @@ def check_tasks(
         DemoError: the number or the values of the tasks differ.
     """
     for split in splits:
-        expected = getattr(env, f"{split}_tasks")()._asdict()
-        found = getattr(file, split).tasks._asdict()
-        for name, value in expected.items():
-            want, have = np.asarray(value), np.asarray(found[name])
-            if len(want) != len(have):
-                raise DemoError(
-                    f"{split}/{name}: demonstrations of {len(have)} tasks, but {env.name} has "
-                    f"{len(want)} {split} tasks"
-                )
-            wrong = np.abs(want - have).reshape(len(want), -1).max(axis=1) > tolerance
-            if wrong.any():
-                row = int(np.argmax(wrong))
-                raise DemoError(
-                    f"{split}/{name}[{row}] is {have[row]}, but {env.name}'s {split} task is "
-                    f"{want[row]}"
-                )
+        expected = getattr(env, f"{split}_tasks")()
+        _check_rows(split, getattr(file, split).tasks, expected, env.name, tolerance)
+
+
+def check_same_tasks(file: DemoFile, other: DemoFile, named: str, tolerance: float = 1e-4) -> None:
+    """Refuses demonstrations whose training tasks are not those of another file, row by row.
+
+    Args:
+        file: what is checked.
+        other: what has the tasks that are expected.
+        named: what the other is called in messages.
+        tolerance: largest difference of a task's numbers, in their units.
+
+    Raises:
+        DemoError: the number or the values of the tasks differ.
+    """
+    _check_rows("train", file.train.tasks, other.train.tasks, named, tolerance)
+
+
+def _check_rows(split: str, found: Task, expected: Task, owner: str, tolerance: float) -> None:
+    for name, value in expected._asdict().items():
+        want, have = np.asarray(value), np.asarray(getattr(found, name))
+        if len(want) != len(have):
+            raise DemoError(
+                f"{split}/{name}: demonstrations of {len(have)} tasks, but {owner} has "
+                f"{len(want)} {split} tasks"
+            )
+        wrong = np.abs(want - have).reshape(len(want), -1).max(axis=1) > tolerance
+        if wrong.any():
+            row = int(np.argmax(wrong))
+            raise DemoError(
+                f"{split}/{name}[{row}] is {have[row]}, but {owner}'s {split} task is {want[row]}"
+            )
 
 
 def _task_type(env: Env) -> Any:

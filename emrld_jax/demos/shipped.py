@@ -10,12 +10,13 @@ QUALITIES = ("optimal", "suboptimal")
 DATA = Path(__file__).parent / "data"
 
 
-def resolve(demos: str, environment: str) -> Path:
+def resolve(demos: str, environment: str, setting: str = "demos") -> Path:
     """The file that `demos` names.
 
     Args:
         demos: "optimal" or "suboptimal" for the shipped demonstrations, or the path of a file.
         environment: name of the environment, for the shipped ones.
+        setting: what it was given as, for messages.
 
     Raises:
         DemoError: neither a quality nor a path, or there is no such file.
@@ -30,9 +31,10 @@ def resolve(demos: str, environment: str) -> Path:
         return path
     if not demos.endswith(".npz") and "/" not in demos and "\\" not in demos:
         raise DemoError(
-            f"demos={demos!r} is unknown; allowed: {', '.join(QUALITIES)}, or a path to a .npz file"
+            f"{setting}={demos!r} is unknown; allowed: {', '.join(QUALITIES)}, or a path to a .npz "
+            "file"
         )
     path = Path(demos).expanduser()
     if not path.is_file():
-        raise DemoError(f"demos={demos}: there is no such file")
+        raise DemoError(f"{setting}={demos}: there is no such file")
     return path

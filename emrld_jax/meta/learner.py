@@ -23,7 +23,7 @@ from emrld_jax.sampling.rollouts import (
     living_steps,
     without_idle_steps,
 )
-from emrld_jax.types import Collect, Demos, Experience, Params, Rollout, Task
+from emrld_jax.types import Collect, Demos, Experience, OuterDemos, Params, Rollout, Task
 
 # Sizes, as parts of all steps, that a batch of gathered steps is padded to: each compiles once.
 BUCKETS = (0.0, 0.25, 0.5, 1.0)
@@ -61,11 +61,18 @@ class Programs(NamedTuple):
 
     # (params, keys [M], tasks [M], demos [M], axis or None)
     gather: Callable[[Params, jax.Array, Task, Demos, str | None], Gathered]
-    # (experience, demos [M], sizes, axis or None, every): what the optimizer improves on, of each
-    # `every`-th step that matters
-    objective: Callable[[Experience, Demos, Sizes, str | None, int], Objective]
-    # (state, experience, demos [M], sizes, axis or None), where sizes are static
-    improve: Callable[[MetaState, Experience, Demos, Sizes, str | None], tuple[MetaState, Metrics]]
+    # (experience, demos [M], outer demos [M], sizes, axis or None, every): what the optimizer
+    # improves on, of each `every`-th step that matters
+    objective: Callable[[Experience, Demos, OuterDemos, Sizes, str | None, int], Objective]
+    # (state, experience, demos [M], outer demos [M], sizes, axis or None), where sizes are static
+    improve: Callable[
+        [MetaState, Experience, Demos, OuterDemos, Sizes, str | None], tuple[MetaState, Metrics]
+    ]
+
+
+# one meta-iteration: (state, key, tasks [M], demos [M], outer_demos [M] or None); with None, which
+# need not be given, the outer loss sees the demonstrations that adaptation sees
+Update = Callable[..., tuple[MetaState, Metrics]]
 
 
 class MetaLearner(NamedTuple):
@@ -76,8 +83,7 @@ class MetaLearner(NamedTuple):
     # (params, key, task, demos, collect), all of one task; `collect` may be a simulation or a robot
     # (not to be differentiated: `readapt` is, on episodes that are there already)
     adapt: Callable[[Params, jax.Array, Task, Demos, Collect], Adapted]
-    # (state, key, tasks [M], demos [M]): one meta-iteration
-    update: Callable[[MetaState, jax.Array, Task, Demos], tuple[MetaState, Metrics]]
+    update: Update
     programs: Programs  # what `update` is made of
 
 
@@ -120,16 +126,28 @@ def meta_learner(
         return Gathered(experience, max_over_devices(most, axis), metrics)
 
     def objective(
-        experience: Experience, demos: Demos, sizes: Sizes, axis: str | None, every: int
+        experience: Experience,
+        demos: Demos,
+        outer_demos: OuterDemos,
+        sizes: Sizes,
+        axis: str | None,
+        every: int,
     ) -> Objective:
         steps = _gather_living(experience, sizes, every)
-        return _objective(policy, inner_steps, outer_loss, steps, demos, axis)
+        shown = demos if outer_demos is None else outer_demos
+        return _objective(policy, inner_steps, outer_loss, steps, demos, shown, axis)
 
     def improve(
-        state: MetaState, experience: Experience, demos: Demos, sizes: Sizes, axis: str | None
+        state: MetaState,
+        experience: Experience,
+        demos: Demos,
+        outer_demos: OuterDemos,
+        sizes: Sizes,
+        axis: str | None,
     ) -> tuple[MetaState, Metrics]:
         exact, sampled = (
-            objective(experience, demos, sizes, axis, every) for every in (1, curvature_every)
+            objective(experience, demos, outer_demos, sizes, axis, every)
+            for every in (1, curvature_every)
         )
         params, opt_state, metrics = optimizer.update(exact, sampled, state.params, state.opt_state)
         params = mean_over_devices(params, axis)  # equal up to rounding: they must not drift apart
@@ -146,29 +164,31 @@ def _objective(
     outer_loss: OuterLoss,
     steps: Experience,
     demos: Demos,
+    shown: Demos,
     axis: str | None,
 ) -> Objective:
-    """The outer loss of the meta-parameters, through adaptation on these steps, [M, ..]."""
+    """The outer loss of the meta-parameters, through adaptation on these steps, [M, ..].
+
+    Adaptation sees `demos`, the outer loss what is `shown`.
+    """
     average = partial(mean_over_devices, axis=axis)
 
     def outputs(params: Params) -> Any:
-        def of_task(experience: Experience, demos: Demos) -> Any:
+        def of_task(experience: Experience, demos: Demos, shown: Demos) -> Any:
             path = readapt(policy, inner_steps, params, experience.inner, demos)
-            return outer_loss.outputs(policy, path, experience, demos)
+            return outer_loss.outputs(policy, path, experience, shown)
 
-        return map_each(of_task, steps, demos)
+        return map_each(of_task, steps, demos, shown)
 
     return Objective(
         outputs,
-        lambda new, old: outer_loss.loss(new, old, steps, demos, average),
-        lambda new, old: outer_loss.divergence(new, old, steps, demos),
+        lambda new, old: outer_loss.loss(new, old, steps, shown, average),
+        lambda new, old: outer_loss.divergence(new, old, steps, shown),
         average,
     )
 
 
-def _compiled(
-    programs: Programs,
-) -> Callable[[MetaState, jax.Array, Task, Demos], tuple[MetaState, Metrics]]:
+def _compiled(programs: Programs) -> Update:
     """A meta-iteration of one learner on one device."""
 
     @jax.jit
@@ -176,13 +196,18 @@ def _compiled(
         keys = jax.random.split(key, demos.mask.shape[0])
         return programs.gather(params, keys, tasks, demos, None)
 
-    improve = jax.jit(programs.improve, static_argnums=(3, 4))
+    improve = jax.jit(programs.improve, static_argnums=(4, 5))
 
     def update(
-        state: MetaState, key: jax.Array, tasks: Task, demos: Demos
+        state: MetaState,
+        key: jax.Array,
+        tasks: Task,
+        demos: Demos,
+        outer_demos: OuterDemos = None,
     ) -> tuple[MetaState, Metrics]:
         experience, needed, metrics = gather(state.params, key, tasks, demos)
-        state, outer = improve(state, experience, demos, bucket_sizes(experience, needed), None)
+        sizes = bucket_sizes(experience, needed)
+        state, outer = improve(state, experience, demos, outer_demos, sizes, None)
         return state, {**metrics, **outer}
 
     return update

@@ -44,7 +44,7 @@ class OuterLoss(NamedTuple):
     """What the meta-parameters are to lower, by what adaptation makes of them.
 
     The outputs are one task's; the loss and the divergence see those of all tasks, [M, ..], with
-    the experience and the demonstrations that they were made on.
+    the experience that they were made on, and the demonstrations that are the outer loss's.
     """
 
     # (policy, path, experience, demos), the path as in `adaptation.readapt`

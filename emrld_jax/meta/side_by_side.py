@@ -23,7 +23,7 @@ from jax.sharding import PartitionSpec as P
 from emrld_jax.meta.batching import map_each, max_over_devices
 from emrld_jax.meta.learner import Gathered, MetaState, Programs, Sizes, bucket_sizes
 from emrld_jax.meta.outer import Metrics
-from emrld_jax.types import Demos, Experience, Params, Task
+from emrld_jax.types import Demos, Experience, OuterDemos, Params, Task
 
 LEARNERS, TASKS = "learners", "tasks"  # the axes of a mesh
 
@@ -68,13 +68,16 @@ def _place(tree: Any, sharding: NamedSharding) -> Any:
     return jax.tree.map(place, tree)
 
 
+# (states [K], keys [K], values [K], tasks [M], demos [M], outer demos [M])
+Arguments = tuple[MetaState, jax.Array, Values, Task, Demos, OuterDemos]
+
+
 class SideBySide(NamedTuple):
     """K learners on a mesh."""
 
-    # (states [K], keys [K], values [K], tasks [M], demos [M]): one meta-iteration of each
-    update: Callable[[MetaState, jax.Array, Values, Task, Demos], tuple[MetaState, Metrics]]
-    # the same arguments: the two programs that these arguments lead to, to be looked at
-    compiled: Callable[[MetaState, jax.Array, Values, Task, Demos], list[jax.stages.Compiled]]
+    update: Callable[[*Arguments], tuple[MetaState, Metrics]]  # one meta-iteration of each
+    # the two programs that the same arguments lead to, to be looked at
+    compiled: Callable[[*Arguments], list[jax.stages.Compiled]]
 
 
 def side_by_side(programs_of: Callable[[Values], Programs], mesh: Mesh) -> SideBySide:
@@ -87,23 +90,34 @@ def side_by_side(programs_of: Callable[[Values], Programs], mesh: Mesh) -> SideB
         mesh: of `make_mesh`.
     """
     gather = jax.jit(partial(_gather, programs_of, mesh))
-    improve = jax.jit(partial(_improve, programs_of, mesh), static_argnums=4)
+    improve = jax.jit(partial(_improve, programs_of, mesh), static_argnums=5)
 
     def update(
-        states: MetaState, keys: jax.Array, values: Values, tasks: Task, demos: Demos
+        states: MetaState,
+        keys: jax.Array,
+        values: Values,
+        tasks: Task,
+        demos: Demos,
+        outer_demos: OuterDemos,
     ) -> tuple[MetaState, Metrics]:
         experience, needed, metrics = gather(states.params, keys, values, tasks, demos)
         sizes = bucket_sizes(experience, needed)
-        states, outer = improve(states, values, experience, demos, sizes)
+        states, outer = improve(states, values, experience, demos, outer_demos, sizes)
         return states, {**metrics, **outer}
 
     def compiled(
-        states: MetaState, keys: jax.Array, values: Values, tasks: Task, demos: Demos
+        states: MetaState,
+        keys: jax.Array,
+        values: Values,
+        tasks: Task,
+        demos: Demos,
+        outer_demos: OuterDemos,
     ) -> list[jax.stages.Compiled]:
         first = gather.lower(states.params, keys, values, tasks, demos).compile()
         experience, needed, _ = first(states.params, keys, values, tasks, demos)
         sizes = bucket_sizes(experience, needed)
-        return [first, improve.lower(states, values, experience, demos, sizes).compile()]
+        second = improve.lower(states, values, experience, demos, outer_demos, sizes)
+        return [first, second.compile()]
 
     return SideBySide(update, compiled)
 
@@ -145,22 +159,30 @@ def _improve(
     values: Values,
     experience: Experience,
     demos: Demos,
+    outer_demos: OuterDemos,
     sizes: Sizes,
 ) -> tuple[MetaState, Metrics]:
-    def own(states: MetaState, values: Values, experience: Experience, demos: Demos) -> Any:
+    def own(
+        states: MetaState,
+        values: Values,
+        experience: Experience,
+        demos: Demos,
+        outer_demos: OuterDemos,
+    ) -> Any:
         def one(state: MetaState, values: Values, experience: Experience) -> Any:
-            return programs_of(values).improve(state, experience, demos, sizes, TASKS)
+            improve = programs_of(values).improve
+            return improve(state, experience, demos, outer_demos, sizes, TASKS)
 
         return map_each(one, states, values, experience)
 
     sharded = jax.shard_map(
         own,
         mesh=mesh,
-        in_specs=(P(LEARNERS), P(LEARNERS), P(LEARNERS, TASKS), P(TASKS)),
+        in_specs=(P(LEARNERS), P(LEARNERS), P(LEARNERS, TASKS), P(TASKS), P(TASKS)),
         out_specs=P(LEARNERS),
         check_vma=False,
     )
-    return _everywhere(sharded(states, values, experience, demos), mesh)
+    return _everywhere(sharded(states, values, experience, demos, outer_demos), mesh)
 
 
 def _everywhere(tree: Any, mesh: Mesh) -> Any:

@@ -20,7 +20,8 @@ from envs_jax.base import REWARDS
 from envs_jax.physics import BACKENDS
 
 W_RL_OPTIMAL, W_RL_SUBOPTIMAL = 0.2, 1.0  # the paper's (section C)
-PATHS = ("demos", "file", "out", "resume", "run", "runs")  # taken literally: no grammar in a path
+# taken literally: no grammar in a path
+PATHS = ("demos", "outer_demos", "file", "out", "resume", "run", "runs")
 RESUMABLE = ("meta.iterations", "checkpoint_every", "evaluation_episodes")
 PLACES = (  # where a run computes, which is no part of what it is: never kept with a run
     "devices",
@@ -94,6 +95,11 @@ class TrainConfig:
     algo: str = setting("emrld", "the algorithm", choices=algorithms.names())
     demos: str = setting(
         "optimal", "optimal or suboptimal (shipped demonstrations), or the path of a .npz file"
+    )
+    outer_demos: str | None = setting(
+        None,
+        "meta_bc and gmps: demonstrations of the same tasks for the outer loss, as demos; null: "
+        "those of demos serve both",
     )
     seed: int = setting(0, "seed of all random numbers", at_least=0, at_most=10**9)
     num_seeds: int = setting(

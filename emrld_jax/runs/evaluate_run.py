@@ -37,8 +37,10 @@ def evaluate_run(config: EvaluateConfig, console: Console) -> int:
     """
     folder = RunFolder(Path(str(config.run)))
     trained = load_config(folder.config)
-    setup = set_up(replace(trained, adapt=config.adapt, demos=config.demos or trained.demos))
-    demos = _demonstrations(config, setup)
+    demos = config.demos or trained.demos
+    # only adaptation is to be seen, so the outer loss's own demonstrations need not be there
+    setup = set_up(replace(trained, adapt=config.adapt, demos=demos, outer_demos=None))
+    shown = _demonstrations(config, setup)
     _tell_of_other_demonstrations(setup, folder, console)
     if config.video:
         prepare_films(setup.env)
@@ -57,7 +59,7 @@ def evaluate_run(config: EvaluateConfig, console: Console) -> int:
         kept=num_drawn(setup.env, config.episodes),
         deterministic=config.deterministic,
     )
-    evaluation = evaluate(params, evaluation_key(config.seed), demos.tasks, demos.demos)
+    evaluation = evaluate(params, evaluation_key(config.seed), shown.tasks, shown.demos)
     results = {
         **summarize(evaluation, config.seed),
         "iteration": iteration,
@@ -70,7 +72,7 @@ def evaluate_run(config: EvaluateConfig, console: Console) -> int:
     console.print(_table(results["stages"], f"{title}, after {iteration} meta-iterations"))
     tell_of_breakdowns(results["stages"], console)
     adaptation_curve(results["stages"], title, target / "adaptation")
-    _draw(config, setup, demos, evaluation, title, target)
+    _draw(config, setup, shown, evaluation, title, target)
     tell(console, f"{target}: figures and pictures")
     return 0
 

@@ -85,9 +85,12 @@ def _by_numbers(path: Path) -> list[tuple[float, str]]:
 def new_run_folder(config: TrainConfig, label: str) -> tuple[RunFolder, str]:
     """Makes runs/<env>/<algo>-<demos>/[<label>/]seed<k>/ and says what to know about it.
 
-    If there is such a run already, the new folder's name gets a number.
+    With demonstrations of the outer loss's own it is <algo>-<demos>-outer-<these>. If there is such
+    a run already, the new folder's name gets a number.
     """
     demos = Path(config.demos).stem
+    if config.outer_demos is not None:
+        demos += f"-outer-{Path(config.outer_demos).stem}"
     parent = Path(config.runs) / config.env.name / f"{config.algo}-{demos}" / label
     wanted = RunFolder(parent / f"seed{config.seed}")
     try:

@@ -80,7 +80,7 @@ class Together:
             raise ConfigError(f"devices and processes: {error}") from error
         values = differences([setup.config for setup in setups])
         self._mesh, self._values = mesh, replicate(values, mesh)
-        self._tasks, self._demos = share_tasks((part.tasks, part.demos), mesh)
+        self._data = share_tasks((part.tasks, part.demos, shared.outer_demos), mesh)
         self._episodes = tasks * shared.config.adapt.num_episodes
         self._programs = side_by_side(lambda own: learner_with(shared, own).programs, mesh)
         wanted = shared.config.diagnostics
@@ -121,7 +121,7 @@ class Together:
 
     def _arguments(self, standing: Standing) -> tuple[Any, ...]:
         keys = _iteration_keys(replicate(standing.keys, self._mesh), standing.iteration)
-        return standing.states, keys, self._values, self._tasks, self._demos
+        return standing.states, keys, self._values, *self._data
 
     def _steps(self, metrics: dict[str, float]) -> int:
         """Environment steps of an iteration."""

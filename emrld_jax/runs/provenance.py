@@ -18,20 +18,22 @@ import jax
 
 from emrld_jax.runs.config import ConfigError
 
+DEMOS = ("demos", "outer_demos")  # what may be recorded of demonstrations
 CODE = (".", "../envs_jax")  # what decides results, seen from this package
 TYPED = "EMRLD_JAX_COMMAND"  # tells a process that a command starts what the user has typed
 PACKAGES = ("emrld-jax", "jax", "jaxlib", "flax", "optax", "orbax-checkpoint", "numpy")
 PHYSICS = ("mujoco", "mujoco-mjx", "gymnasium")  # of extras, which need not be there
 
 
-def provenance(demos: Path) -> dict[str, Any]:
-    """A record of this process, as JSON values."""
+def provenance(demos: Path, outer_demos: Path | None = None) -> dict[str, Any]:
+    """A record of this process and of the demonstrations, as JSON values."""
+    files = {name: path for name, path in zip(DEMOS, (demos, outer_demos), strict=True) if path}
     return {
         "time": datetime.now(UTC).isoformat(timespec="seconds"),
         "command": typed_command(),
         **software(),
         "machine": machine(),
-        "demos": {"path": str(demos), "sha256": sha256(demos)},
+        **{name: {"path": str(path), "sha256": sha256(path)} for name, path in files.items()},
     }
 
 
@@ -49,7 +51,8 @@ def read_provenance(path: Path) -> dict[str, Any]:
     whole = isinstance(record, dict) and all(
         isinstance(record.get(name), kind) for name, kind in kinds.items()
     )
-    if not whole or "sha256" not in record["demos"]:
+    shown = [record[name] for name in DEMOS if name in record] if whole else []
+    if not whole or not all(isinstance(own, dict) and "sha256" in own for own in shown):
         raise ConfigError(f"{path} must have {', '.join(kinds)}, and demos a sha256")
     return record
 

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from emrld_jax import algorithms
-from emrld_jax.demos import DemoFile, load, resolve
+from emrld_jax.demos import DemoError, DemoFile, check_same_tasks, load, resolve
 from emrld_jax.demos.shipped import QUALITIES
 from emrld_jax.meta.learner import MetaLearner
 from emrld_jax.runs.config import (
@@ -20,6 +20,7 @@ from emrld_jax.runs.config import (
     make_env,
 )
 from emrld_jax.settings import with_values
+from emrld_jax.types import Demos, OuterDemos
 from envs_jax import Env
 from envs_jax.half_cheetah import HalfCheetah
 from envs_jax.physics import resolve_backend
@@ -33,6 +34,8 @@ class Setup(NamedTuple):
     demos: DemoFile
     env: Env
     learner: MetaLearner
+    outer_path: Path | None  # of the outer loss's own demonstrations; None: it has none
+    outer_demos: OuterDemos  # those of the training tasks, [M, ..]
 
 
 def set_up(config: TrainConfig) -> Setup:
@@ -48,11 +51,31 @@ def set_up(config: TrainConfig) -> Setup:
         raise ConfigError(str(error)) from error
     path = resolve(config.demos, config.env.name)
     demos = load(path, env)
-    if config.demos not in QUALITIES:
-        config = replace(config, demos=str(path.absolute()))  # valid from any working directory
+    config = replace(config, demos=_from_anywhere(config.demos, path))
     if config.w_rl is None:
         config = replace(config, w_rl=default_w_rl(demos.quality))
-    return Setup(config, path, demos, env, _learner(config, env, {}))
+    outer_path, outer_demos = None, None
+    if config.outer_demos is not None:
+        outer_path = resolve(config.outer_demos, config.env.name, "outer_demos")
+        outer_demos = _outer(outer_path, env, demos)
+        config = replace(config, outer_demos=_from_anywhere(config.outer_demos, outer_path))
+    learner = _learner(config, env, {})
+    return Setup(config, path, demos, env, learner, outer_path, outer_demos)
+
+
+def _from_anywhere(demos: str, path: Path) -> str:
+    """What names these demonstrations from any working directory."""
+    return demos if demos in QUALITIES else str(path.absolute())
+
+
+def _outer(path: Path, env: Env, demos: DemoFile) -> Demos:
+    """The outer loss's own demonstrations, of the tasks that the others are of."""
+    file = load(path, env)
+    try:
+        check_same_tasks(file, demos, "demos")
+    except DemoError as error:
+        raise DemoError(f"outer_demos={path}: {error}") from error
+    return file.train.demos
 
 
 def _resolved(settings: EnvSettings) -> EnvSettings:

@@ -117,7 +117,8 @@ def tell_where(
 
 
 def _start(setup: Setup, folder: RunFolder) -> Progressed:
-    write_json(folder.provenance, {**provenance(setup.demos_path), "resumed": []})
+    record = provenance(setup.demos_path, setup.outer_path)
+    write_json(folder.provenance, {**record, "resumed": []})
     save_config(setup.config, folder.config)  # last: a folder that has it is a run
     return initial(setup)
 
@@ -127,7 +128,7 @@ def _continue(
 ) -> list[Progressed]:
     pairs = list(zip(plans, folders, strict=True))
     notes: dict[str, None] = {}  # each once
-    now = provenance(plans[0].setup.demos_path)
+    now = provenance(plans[0].setup.demos_path, plans[0].setup.outer_path)
     first = [_checked_provenance(plan.setup, folder, now, notes) for plan, folder in pairs]
     restored = [_restored(plan.setup, folder, console) for plan, folder in pairs]
     # runs that were killed together may be a checkpoint apart
@@ -159,10 +160,12 @@ def _continue(
 def _checked_provenance(setup: Setup, folder: RunFolder, now: dict, notes: dict[str, None]) -> dict:
     """How the run began, with notes on what is different now."""
     first = read_provenance(folder.provenance)
-    if first["demos"]["sha256"] != now["demos"]["sha256"]:
-        raise ConfigError(
-            f"{setup.demos_path} has changed since {folder.path} began: it cannot be continued"
-        )
+    for name, path in (("demos", setup.demos_path), ("outer_demos", setup.outer_path)):
+        began, is_now = (record.get(name, {}).get("sha256") for record in (first, now))
+        if began != is_now:
+            raise ConfigError(
+                f"{path} has changed since {folder.path} began: it cannot be continued"
+            )
     for what in ("code", "packages"):
         if first[what] != now[what]:
             notes[f"note: not the same {what} as when the run began; results may differ"] = None

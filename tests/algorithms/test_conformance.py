@@ -35,6 +35,7 @@ ENV = envs_jax.make("point2d", reward="dense", horizon=8, goal_radius=0.15)
 FAR = GoalTask(2.0 * np.array([[1.0, 0.0], [0.0, 1.0], [-1.0, 0.0]]))  # type: ignore[arg-type]
 NEAR = GoalTask(FAR.goal / 16)  # often reached in the first step
 DEMOS = jax.tree.map(np.asarray, stacked([random_demos(m) for m in range(3)]))
+OTHERS = jax.tree.map(np.asarray, stacked([random_demos(9 - m, 5, 5 - m) for m in range(3)]))
 ORDER = np.array([2, 0, 1])
 KEY = jax.random.key(7)
 
@@ -153,11 +154,11 @@ def test_learners_side_by_side_do_what_each_does_alone(name: str) -> None:
 
     def together(rates: tuple[float, float]) -> list[Any]:
         values = {"learning_rate": np.array(rates)}
-        found, metrics = both.update(stacked(states), keys, values, NEAR, DEMOS)
+        found, metrics = both.update(stacked(states), keys, values, NEAR, DEMOS, OTHERS)
         return [jax.tree.map(lambda x, k=k: x[k], (found.params, metrics)) for k in range(2)]
 
     for k, rates in enumerate([(0.1, 0.05), (0.05, 0.1)]):
-        own, own_metrics = one.update(states[k], keys[k], NEAR, DEMOS)  # its rate is 0.1
+        own, own_metrics = one.update(states[k], keys[k], NEAR, DEMOS, OTHERS)  # its rate is 0.1
         found = together(rates)
         assert differ(own.params, states[k].params)
         assert_close(found[k], (own.params, own_metrics))
@@ -222,6 +223,15 @@ def test_the_order_of_the_tasks_does_not_matter(name: str) -> None:
     # With a task's demonstrations at another task, the result is another one, if they count at all.
     counts = differ((mixed.params, mixed_metrics), (expected.params, metrics))
     assert counts == algorithms.takes_demonstrations(name)
+
+
+@ALL
+def test_the_outer_loss_sees_its_own_demonstrations_if_any(name: str) -> None:
+    expected = learner(name).update(start(name), KEY, FAR, DEMOS)
+    assert_close(learner(name).update(start(name), KEY, FAR, DEMOS, DEMOS), expected)
+    other, metrics = learner(name).update(start(name), KEY, FAR, DEMOS, OTHERS)
+    assert metrics["adapt/return_0"] == expected[1]["adapt/return_0"]
+    assert differ(other.params, expected[0].params) == algorithms.uses(name, "outer_demos")
 
 
 @ALL

@@ -148,6 +148,25 @@ def test_other_demonstrations_are_not_mixed(make_run: MakeRun, tmp_path: Path) -
     ]
 
 
+def test_demonstrations_of_the_outer_loss_part_lines(make_run: MakeRun, tmp_path: Path) -> None:
+    """Those that have none, and those of before, which had no such setting, are together."""
+    own = {"algo": "gmps", "demos": "suboptimal"}
+    make_run("a", seed=0, **own)
+    before = make_run("b", seed=1, **own) / "config.yaml"
+    before.write_text(before.read_text().replace("outer_demos: null\n", ""))
+    for seed, content in ((2, "a"), (3, "a"), (4, "b")):
+        path = make_run(f"{seed}", seed=seed, outer_demos=f"/somewhere/{seed}/lines.npz", **own)
+        record = json.loads((path / "provenance.json").read_text())
+        record["outer_demos"] = {"path": "lines.npz", "sha256": content * 64}
+        write(path / "provenance.json", record)
+    found = {group.label: group.seeds for group in grouped(tmp_path).groups}
+    assert found == {
+        "gmps, outer_demos=as demos": (0, 1),
+        "gmps, outer_demos=lines aaaaaaaaaa": (2, 3),
+        "gmps, outer_demos=lines bbbbbbbbbb": (4,),
+    }
+
+
 def test_commits_together_are_told(make_run: MakeRun, tmp_path: Path) -> None:
     make_run("a", seed=0)
     make_run("b", seed=1, commit="b" * 40)

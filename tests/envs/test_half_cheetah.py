@@ -366,7 +366,7 @@ def test_seeds_tasks_and_episodes_are_stepped_in_one_call(
     states = jax.vmap(learner.init)(jax.random.split(jax.random.key(0), 2))
     demos = Demos(jnp.zeros((2, 1, 20)), jnp.zeros((2, 1, 6)), jnp.ones((2, 1)))
     keys = jax.random.split(jax.random.key(1), 2)
-    _, metrics = programs.update(states, keys, {}, HalfCheetah().test_tasks(), demos)
+    _, metrics = programs.update(states, keys, {}, HalfCheetah().test_tasks(), demos, None)
     np.testing.assert_array_equal(metrics["adapt/length_1"], 4.0)
     assert sizes == [12] * 8
 

@@ -23,7 +23,7 @@ from emrld_jax.meta.outer_losses import (
 )
 from emrld_jax.meta.trpo import trpo
 from emrld_jax.policy import Policy
-from emrld_jax.types import Experience, Gaussian, Rollout
+from emrld_jax.types import Experience, Gaussian, OuterDemos, Rollout
 from tests.meta.problems import TASKS, random_demos, random_rollout, small_policy, stacked
 
 DEMOS = stacked([random_demos(m) for m in range(TASKS)])
@@ -169,14 +169,16 @@ def learner(loss: OuterLoss, step: InnerStep) -> tuple[MetaLearner, Any]:
     return meta_learner(policy, (step,), nothing, loss, trpo()), params
 
 
-def objective_of(loss: OuterLoss, step: InnerStep) -> tuple[Objective, Any]:
+def objective_of(
+    loss: OuterLoss, step: InnerStep, outer_demos: OuterDemos = None
+) -> tuple[Objective, Any]:
     meta, params = learner(loss, step)
     inner = rollouts(20) if step.on_policy else None
     experience = Experience((inner,), rollouts(50))
     size = DEMOS.mask.shape[1] * 2
     sizes: Any = Experience((size,) if step.on_policy else (None,), size)
     wide = jax.tree.map(lambda x: x[:, None], experience)  # as one episode a task
-    return meta.programs.objective(wide, DEMOS, sizes, None, 1), params
+    return meta.programs.objective(wide, DEMOS, outer_demos, sizes, None, 1), params
 
 
 GRADIENT = InnerStep(policy_gradient(), 0.3, on_policy=True, first_order=False)
@@ -212,6 +214,30 @@ def test_meta_gradients_go_through_the_adaptation(loss: OuterLoss, step: InnerSt
     other, _ = objective_of(loss, first_order)
     shortened = jax.grad(lambda x: other.loss(other.outputs(unravel(x)), old))(away)
     assert np.abs(np.asarray(shortened - gradient)).max() > 1e-4
+
+
+@pytest.mark.parametrize(
+    "step", [InnerStep(demonstrations(), 0.3, False, False), GRADIENT], ids=["meta_bc", "gmps"]
+)
+def test_the_outer_loss_sees_its_own_demonstrations(step: InnerStep) -> None:
+    """Adaptation sees the others, which have another number of steps."""
+    policy, _ = small_policy()
+    others = stacked([random_demos(7 + m, size=8, living=7 - m) for m in range(TASKS)])
+    objective, params = objective_of(adapted_demonstrations(), step, others)
+    new = objective.outputs(params)
+    inner = (rollouts(20),) if step.on_policy else (None,)
+    expected = []
+    for m in range(TASKS):
+        own, demo, shown = jax.tree.map(lambda x, m=m: x[m], (inner, DEMOS, others))
+        adapted = readapt(policy, (step,), params, own, demo)[-1]
+        gaussian = jax.tree.map(lambda x: x[None], policy.apply(adapted, shown.obs))
+        action = shown.action[None]
+        of_steps = [density(gaussian, action, 0, s) for s in range(7 - m)]
+        expected.append(-np.mean(of_steps))
+    np.testing.assert_allclose(objective.loss(new, new), np.mean(expected), rtol=1e-10)
+    plain, _ = objective_of(adapted_demonstrations(), step)
+    old = plain.outputs(params)
+    assert abs(float(plain.loss(old, old)) - np.mean(expected)) > 1e-3
 
 
 def test_reptiles_gradient_is_the_way_back_from_the_adapted_parameters() -> None:

@@ -159,17 +159,22 @@ def test_checkpoints_ahead_of_where_runs_go_on_are_dropped(tmp_path: Path) -> No
     assert restored.iteration == 15
 
 
-@pytest.mark.parametrize("algo", ["emaml", "promp"])
+@pytest.mark.parametrize("algo", ["emaml", "promp", "gmps"])
 def test_outer_losses_are_of_all_tasks_wherever_they_are(
     command: Command, start: tuple[str, ...], tmp_path: Path, algo: str
 ) -> None:
-    """One looks at all tasks to weigh each, the other one takes several steps on a batch."""
+    """One looks at all tasks to weigh each, one takes several steps on a batch, one has
+    demonstrations of its own."""
     folders = []
+    own = [f"algo={algo}"]
+    if algo == "gmps":
+        own.append(f"outer_demos={write_demos(tmp_path / 'own.npz', num_train=4, num_test=0)}")
     for devices in (1, 4):
         runs = tmp_path / str(devices)
-        done = command("train", *start, f"algo={algo}", f"devices={devices}", f"runs={runs}")
+        done = command("train", *start, *own, f"devices={devices}", f"runs={runs}")
         assert done.returncode == 0, done.stderr
-        folders.append(runs / "point2d" / f"{algo}-lines" / "seed0")
+        outer = "-outer-own" * (algo == "gmps")
+        folders.append(runs / "point2d" / f"{algo}-lines{outer}" / "seed0")
     assert_same_curve(*folders)
 
 
