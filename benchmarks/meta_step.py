@@ -76,16 +76,16 @@ class Bench:
 
     def _objective(self) -> tuple[Any, Any]:
         """The outer loss with its gradient, and without, as compiled functions of parameters."""
-        programs, demos = self.setup.learner.programs, self.part.demos
+        halves, demos = self.setup.learner.halves, self.part.demos
         experience, needed, _ = self.gather(*self._arguments())
         sizes = bucket_sizes(experience, needed)
 
         def loss(params: Any, experience: Any, old: Any) -> jax.Array:
-            objective = programs.objective(experience, demos, None, sizes, None, 1)
+            objective = halves.objective(experience, demos, None, sizes, None, 1)
             return objective.loss(objective.outputs(params), old)
 
         def outputs(params: Any, experience: Any) -> Any:
-            return programs.objective(experience, demos, None, sizes, None, 1).outputs(params)
+            return halves.objective(experience, demos, None, sizes, None, 1).outputs(params)
 
         old = jax.jit(outputs)(self.state.params, experience)
         gradient, value = jax.jit(jax.value_and_grad(loss)), jax.jit(loss)
@@ -105,7 +105,7 @@ class Bench:
         demos = self.part.demos
 
         def improve(state: MetaState, experience: Any) -> Any:
-            return learner.programs.improve(state, experience, demos, None, sizes, None)
+            return learner.halves.improve(state, experience, demos, None, sizes, None)
 
         program = jax.jit(improve)
         times = seconds(lambda: program(self.state, experience), self.repetitions)
@@ -145,7 +145,7 @@ class Bench:
     @cached_property
     def gather(self) -> Any:
         """The first half of a meta-iteration, compiled."""
-        gather = self.setup.learner.programs.gather
+        gather = self.setup.learner.halves.gather
 
         def of_tasks(params: Any, key: jax.Array, tasks: Any, demos: Any) -> Any:
             return gather(params, jax.random.split(key, self.tasks), tasks, demos, None)

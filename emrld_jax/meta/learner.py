@@ -47,7 +47,7 @@ class Gathered(NamedTuple):
     metrics: Metrics
 
 
-class Programs(NamedTuple):
+class Halves(NamedTuple):
     """The two halves of a meta-iteration, not compiled yet, so that they can be batched first.
 
     The first collects all episodes, without gradients. The second re-adapts on them as a function
@@ -84,7 +84,7 @@ class MetaLearner(NamedTuple):
     # (not to be differentiated: `readapt` is, on episodes that are there already)
     adapt: Callable[[Params, jax.Array, Task, Demos, Collect], Adapted]
     update: Update
-    programs: Programs  # what `update` is made of
+    halves: Halves  # what `update` is made of
 
 
 def meta_learner(
@@ -154,8 +154,8 @@ def meta_learner(
         size = jnp.linalg.norm(ravel_pytree(params)[0])
         return MetaState(params, opt_state), {**metrics, "outer/params_norm": size}
 
-    programs = Programs(gather, objective, improve)
-    return MetaLearner(policy, init, adapt_one, _compiled(programs), programs)
+    halves = Halves(gather, objective, improve)
+    return MetaLearner(policy, init, adapt_one, _compiled(halves), halves)
 
 
 def _objective(
@@ -188,15 +188,15 @@ def _objective(
     )
 
 
-def _compiled(programs: Programs) -> Update:
+def _compiled(halves: Halves) -> Update:
     """A meta-iteration of one learner on one device."""
 
     @jax.jit
     def gather(params: Params, key: jax.Array, tasks: Task, demos: Demos) -> Gathered:
         keys = jax.random.split(key, demos.mask.shape[0])
-        return programs.gather(params, keys, tasks, demos, None)
+        return halves.gather(params, keys, tasks, demos, None)
 
-    improve = jax.jit(programs.improve, static_argnums=(4, 5))
+    improve = jax.jit(halves.improve, static_argnums=(4, 5))
 
     def update(
         state: MetaState,

@@ -21,7 +21,7 @@ from jax.sharding import Mesh, NamedSharding
 from jax.sharding import PartitionSpec as P
 
 from emrld_jax.meta.batching import map_each, max_over_devices
-from emrld_jax.meta.learner import Gathered, MetaState, Programs, Sizes, bucket_sizes
+from emrld_jax.meta.learner import Gathered, Halves, MetaState, Sizes, bucket_sizes
 from emrld_jax.meta.outer import Metrics
 from emrld_jax.types import Demos, Experience, OuterDemos, Params, Task
 
@@ -80,17 +80,17 @@ class SideBySide(NamedTuple):
     compiled: Callable[[*Arguments], list[jax.stages.Compiled]]
 
 
-def side_by_side(programs_of: Callable[[Values], Programs], mesh: Mesh) -> SideBySide:
+def side_by_side(halves_of: Callable[[Values], Halves], mesh: Mesh) -> SideBySide:
     """Compiled meta-iterations of K learners on a mesh.
 
     Results are on every device, so that any process can save them whatever becomes of others.
 
     Args:
-        programs_of: the halves of a meta-iteration with these values, which may be traced.
+        halves_of: the halves of a meta-iteration with these values, which may be traced.
         mesh: of `make_mesh`.
     """
-    gather = jax.jit(partial(_gather, programs_of, mesh))
-    improve = jax.jit(partial(_improve, programs_of, mesh), static_argnums=5)
+    gather = jax.jit(partial(_gather, halves_of, mesh))
+    improve = jax.jit(partial(_improve, halves_of, mesh), static_argnums=5)
 
     def update(
         states: MetaState,
@@ -123,7 +123,7 @@ def side_by_side(programs_of: Callable[[Values], Programs], mesh: Mesh) -> SideB
 
 
 def _gather(
-    programs_of: Callable[[Values], Programs],
+    halves_of: Callable[[Values], Halves],
     mesh: Mesh,
     params: Params,
     keys: jax.Array,
@@ -133,7 +133,7 @@ def _gather(
 ) -> Gathered:
     def own(params: Params, keys: jax.Array, values: Values, tasks: Task, demos: Demos) -> Gathered:
         def one(params: Params, keys: jax.Array, values: Values) -> Gathered:
-            return programs_of(values).gather(params, keys, tasks, demos, TASKS)
+            return halves_of(values).gather(params, keys, tasks, demos, TASKS)
 
         # at once, also on a CPU: a simulator that is called steps all learners in one call
         experience, needed, metrics = jax.vmap(one)(params, keys, values)
@@ -153,7 +153,7 @@ def _gather(
 
 
 def _improve(
-    programs_of: Callable[[Values], Programs],
+    halves_of: Callable[[Values], Halves],
     mesh: Mesh,
     states: MetaState,
     values: Values,
@@ -170,7 +170,7 @@ def _improve(
         outer_demos: OuterDemos,
     ) -> Any:
         def one(state: MetaState, values: Values, experience: Experience) -> Any:
-            improve = programs_of(values).improve
+            improve = halves_of(values).improve
             return improve(state, experience, demos, outer_demos, sizes, TASKS)
 
         return map_each(one, states, values, experience)

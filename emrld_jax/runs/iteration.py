@@ -82,7 +82,7 @@ class Together:
         self._mesh, self._values = mesh, replicate(values, mesh)
         self._data = share_tasks((part.tasks, part.demos, shared.outer_demos), mesh)
         self._episodes = tasks * shared.config.adapt.num_episodes
-        self._programs = side_by_side(lambda own: learner_with(shared, own).programs, mesh)
+        self._learners = side_by_side(lambda own: learner_with(shared, own).halves, mesh)
         wanted = shared.config.diagnostics
         self._diagnosis = diagnosis(setups, values, devices) if wanted else None
 
@@ -100,7 +100,7 @@ class Together:
             DivergenceError: a metric or a parameter is not finite.
         """
         i = standing.iteration
-        states, arrays = self._programs.update(*self._arguments(standing))
+        states, arrays = self._learners.update(*self._arguments(standing))
         metrics = _by_run(jax.device_get(arrays))
         _check_finite(i, metrics)
         if self._diagnosis is not None:
@@ -117,7 +117,7 @@ class Together:
 
     def compiled(self, standing: Standing) -> list[jax.stages.Compiled]:
         """The programs of the next meta-iteration, for who wants to know what they need."""
-        return self._programs.compiled(*self._arguments(standing))
+        return self._learners.compiled(*self._arguments(standing))
 
     def _arguments(self, standing: Standing) -> tuple[Any, ...]:
         keys = _iteration_keys(replicate(standing.keys, self._mesh), standing.iteration)

@@ -150,7 +150,7 @@ def test_learners_side_by_side_do_what_each_does_alone(name: str) -> None:
     one, keys = learner(name), jax.random.split(KEY, 2)
     states = [jax.tree.map(jnp.float64, one.init(jax.random.key(seed))) for seed in range(2)]
     mesh = make_mesh(jax.devices()[:1], learners=2, tasks=3)
-    both = side_by_side(lambda v: learner.__wrapped__(name, **v).programs, mesh)
+    both = side_by_side(lambda v: learner.__wrapped__(name, **v).halves, mesh)
 
     def together(rates: tuple[float, float]) -> list[Any]:
         values = {"learning_rate": np.array(rates)}

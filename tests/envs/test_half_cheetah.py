@@ -362,11 +362,11 @@ def test_seeds_tasks_and_episodes_are_stepped_in_one_call(
         policy=PolicySettings(hidden_sizes=[4]), adapt=AdaptSettings(num_episodes=3)
     )
     learner = algorithms.make("maml", HalfCheetah(horizon=4), settings)
-    programs = side_by_side(lambda values: learner.programs, make_mesh(jax.devices()[:1], 2, 2))
+    learners = side_by_side(lambda values: learner.halves, make_mesh(jax.devices()[:1], 2, 2))
     states = jax.vmap(learner.init)(jax.random.split(jax.random.key(0), 2))
     demos = Demos(jnp.zeros((2, 1, 20)), jnp.zeros((2, 1, 6)), jnp.ones((2, 1)))
     keys = jax.random.split(jax.random.key(1), 2)
-    _, metrics = programs.update(states, keys, {}, HalfCheetah().test_tasks(), demos, None)
+    _, metrics = learners.update(states, keys, {}, HalfCheetah().test_tasks(), demos, None)
     np.testing.assert_array_equal(metrics["adapt/length_1"], 4.0)
     assert sizes == [12] * 8
 

@@ -64,7 +64,7 @@ def test_what_is_needed_is_that_of_the_longest_task() -> None:
     meta = learner(small_policy(), collect)
     demos = stacked([random_demos(m) for m in range(2)])
     keys, params = jax.random.split(jax.random.key(1)), meta.init(jax.random.key(0)).params
-    gathered = jax.jit(meta.programs.gather, static_argnums=4)(
+    gathered = jax.jit(meta.halves.gather, static_argnums=4)(
         params, keys, jnp.array([0, 1]), demos, None
     )
     assert int(gathered.needed.inner[0]) == 4 + 2

@@ -178,7 +178,7 @@ def objective_of(
     size = DEMOS.mask.shape[1] * 2
     sizes: Any = Experience((size,) if step.on_policy else (None,), size)
     wide = jax.tree.map(lambda x: x[:, None], experience)  # as one episode a task
-    return meta.programs.objective(wide, DEMOS, outer_demos, sizes, None, 1), params
+    return meta.halves.objective(wide, DEMOS, outer_demos, sizes, None, 1), params
 
 
 GRADIENT = InnerStep(policy_gradient(), 0.3, on_policy=True, first_order=False)
