@@ -23,15 +23,15 @@ class RealClock:
     """The machine's monotonic clock, times a speed: for robots 1, for simulators what they take."""
 
     def __init__(self, speed: float = 1.0) -> None:
-        self._speed = speed
+        self.speed = speed  # s of this clock in a real one
 
     def now(self) -> float:
         """The time, in s."""
-        return time.monotonic() * self._speed
+        return time.monotonic() * self.speed
 
     def sleep_until(self, moment: float) -> None:
         """Returns at the moment, or at once if it has passed."""
-        time.sleep(max(0.0, (moment - self.now()) / self._speed))
+        time.sleep(max(0.0, (moment - self.now()) / self.speed))
 
 
 class VirtualClock:

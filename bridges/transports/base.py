@@ -25,13 +25,16 @@ class LinkSettings:
     peers: list[str] = setting(
         [], "addresses to look for the robot at, where multicast does not work (dds)"
     )
-    interface: str | None = setting(None, "network interface or its address; null: the system's")
+    interface: str | None = setting(
+        None, "network interface or its address (dds); null: the system's"
+    )
     command_type: str = setting(
         "auto",
-        "what the robot takes as velocity command; auto: what discovery says",
+        "what the robot takes as velocity command; auto: what discovery says "
+        "(a simulated robot: twist_stamped)",
         choices=("auto", "twist", "twist_stamped"),
     )
-    connect_timeout: float = setting(10.0, "s to wait for the robot to be found", above=0)
+    connect_timeout: float = setting(10.0, "real s to wait for the robot to be found", above=0)
 
 
 class RobotLink(Protocol):
@@ -43,7 +46,7 @@ class RobotLink(Protocol):
         ...
 
     def open(self) -> None:
-        """Connects: returns when a robot that listens to our kind of command has been found.
+        """Connects: returns when a robot listens to our commands and we to its odometry.
 
         Raises:
             TransportError: none is there in time, or it takes another type of command.
@@ -55,7 +58,10 @@ class RobotLink(Protocol):
         ...
 
     def take(self) -> Sequence[Odometry]:
-        """All odometry since the last call, in the order of arrival; never waits."""
+        """All odometry since the last call, in the order of arrival; never waits.
+
+        The newest 1000 are kept for it. `received` is when each arrived, not when it is taken.
+        """
         ...
 
     def send(self, command: Command) -> None:
@@ -63,19 +69,34 @@ class RobotLink(Protocol):
         ...
 
     def request_reset(self) -> None:
-        """Asks a simulated robot to go back to its start; its odometry shows when it has."""
+        """Asks a simulated robot to go back to its start; its odometry shows when it has.
+
+        Raises:
+            TransportError: nobody listens, as with a real robot.
+        """
         ...
 
     def close(self) -> None:
-        """Disconnects; may be called twice. Sends nothing: stopping is the robot's business."""
+        """Disconnects; may be called twice, and `open` after it.
+
+        Sends nothing: stopping is the robot's business. What was sent before still arrives.
+        """
         ...
 
 
 class RobotEnd(Protocol):
-    """A simulated robot's end."""
+    """A simulated robot's end. All methods are called from one thread."""
 
     def open(self) -> None:
-        """Begins to listen."""
+        """Begins to listen.
+
+        Raises:
+            TransportError: the network does not let it.
+        """
+        ...
+
+    def wait(self, timeout: float) -> bool:
+        """Returns when a command or a reset is there (True), or after `timeout` s (False)."""
         ...
 
     def publish(self, odometry: Odometry, covariance: Sequence[float]) -> None:
@@ -83,7 +104,7 @@ class RobotEnd(Protocol):
         ...
 
     def take_commands(self) -> Sequence[Command]:
-        """All commands since the last call, oldest first; never waits."""
+        """All commands since the last call, oldest first, at most 1000; never waits."""
         ...
 
     def take_resets(self) -> int:
@@ -91,5 +112,5 @@ class RobotEnd(Protocol):
         ...
 
     def close(self) -> None:
-        """Disconnects; may be called twice."""
+        """Disconnects; may be called twice, and `open` after it."""
         ...

@@ -1,0 +1,118 @@
+"""Finding the robot and its type of command, and saying well what is wrong when there is none."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Mapping, Set
+from typing import NamedTuple
+
+from bridges.messages import COMMAND_TYPES
+from bridges.transports.base import LinkSettings, TransportError
+from bridges.transports.names import COMMANDS, ODOMETRY, TYPES, topic
+
+# s between looks, and how long all of a robot's endpoints may need to show after the first ones
+_PAUSE, SETTLE = 0.02, 0.3
+_SHOWN = 20  # topics that a message lists
+_NOT_SHOWN = ("/rosout", "/parameter_events")
+
+
+class Seen(NamedTuple):
+    """What discovery shows at a moment."""
+
+    command_types: Set[str]  # that somebody takes at our command topic, ROS names
+    odometry: bool  # somebody publishes it at our topic
+    topics: Mapping[str, str]  # all that others have: name, types
+
+
+def until(true: Callable[[], bool], deadline: float) -> bool:
+    """Waits, to a moment of time.monotonic at most, for something to become true."""
+    while not true():
+        if time.monotonic() >= deadline:
+            return False
+        time.sleep(_PAUSE)
+    return True
+
+
+def find_robot(
+    look: Callable[[], Seen], settings: LinkSettings, place: str, settle: float = SETTLE
+) -> str:
+    """Waits for a robot and finds out its type of command.
+
+    Args:
+        look: what discovery shows now.
+        settings: the topics' namespace, the wanted type of command, how long to wait.
+        place: where we look, in words.
+        settle: s that go on being watched after the robot was seen.
+
+    Returns:
+        one of COMMAND_TYPES.
+
+    Raises:
+        TransportError: no robot is there in time, it takes another type of command than the
+            settings', or it is not clear which.
+    """
+    deadline = time.monotonic() + settings.connect_timeout
+    wanted = TYPES.get(settings.command_type)
+    first: list[float] = []
+
+    def found() -> bool:
+        seen = look()
+        if not (seen.command_types and seen.odometry):
+            return False
+        first.append(time.monotonic())
+        return wanted in seen.command_types or first[-1] - first[0] >= settle
+
+    until(found, deadline)
+    seen = look()
+    if not seen.command_types or (not seen.odometry and wanted in (None, *seen.command_types)):
+        raise TransportError(_nobody(seen, settings, place))
+    return _chosen(seen.command_types, settings)
+
+
+def _chosen(types: Set[str], settings: LinkSettings) -> str:
+    wanted, name = TYPES.get(settings.command_type), topic(settings, COMMANDS)
+    listed = " and ".join(sorted(types))
+    if wanted is not None:
+        if wanted in types:
+            return wanted
+        raise TransportError(
+            f"the robot takes {listed} at {name}, not {wanted} as"
+            f" command_type={settings.command_type} says; DDS would drop every command silently."
+            " Leave command_type at auto to send what the robot takes"
+        )
+    known = sorted(types & set(COMMAND_TYPES))
+    if len(known) == 1:
+        return known[0]
+    if known:
+        raise TransportError(
+            f"both {listed} are taken at {name}, so it is not clear which the robot takes (the"
+            " other may be somebody who watches): give command_type=twist (ROS 2 Humble) or"
+            " command_type=twist_stamped (Jazzy and later)"
+        )
+    raise TransportError(f"{listed} is taken at {name}; this bridge sends {_either()}")
+
+
+def _either() -> str:
+    return " or ".join(COMMAND_TYPES)
+
+
+def _nobody(seen: Seen, settings: LinkSettings, place: str) -> str:
+    if seen.command_types:
+        missing = f"nobody publishes nav_msgs/msg/Odometry at {topic(settings, ODOMETRY)}"
+    else:
+        missing = f"nobody takes {_either()} at {topic(settings, COMMANDS)}"
+    lines = [f"no robot was found within {settings.connect_timeout:g} s: {missing} in {place}."]
+    shown = [f"{name} ({kind})" for name, kind in sorted(seen.topics.items())]
+    shown = [text for text in shown if not text.startswith(_NOT_SHOWN)]
+    if shown:
+        more = f" and {len(shown) - _SHOWN} more" if len(shown) > _SHOWN else ""
+        lines.append(f"Topics that are there: {', '.join(shown[:_SHOWN])}{more}.")
+        lines.append("Is the robot's software running, and link.namespace right?")
+    else:
+        lines.append(
+            "No topic of anybody was seen there. Is the robot on, and its ROS_DOMAIN_ID the same?"
+            " Where multicast does not work, as on much Wi-Fi, give link.peers=[ADDRESS]; a robot"
+            " with CycloneDDS then needs <ParticipantIndex>auto</ParticipantIndex> in its own"
+            " CYCLONEDDS_URI."
+        )
+    return " ".join(lines)

@@ -1,0 +1,147 @@
+"""How the transport over rclpy calls it, with a stand-in that is no proof of the wire."""
+
+from __future__ import annotations
+
+import sys
+import threading
+from collections.abc import Iterator
+from typing import Any
+
+import numpy as np
+import pytest
+
+from bridges.clock import RealClock
+from bridges.messages import TWIST, TWIST_STAMPED, Command, Odometry
+from bridges.transports import choice
+from bridges.transports.base import LinkSettings, TransportError
+from tests.bridges import rclpy_stand_in
+
+LIMIT = 5.0
+
+
+@pytest.fixture
+def ros(monkeypatch: pytest.MonkeyPatch) -> Iterator[rclpy_stand_in.Ros]:
+    with monkeypatch.context() as patch:
+        yield rclpy_stand_in.install(patch)
+    # what was imported meanwhile has the stand-in inside
+    sys.modules.pop("bridges.transports.ros", None)
+    vars(sys.modules["bridges.transports"]).pop("ros", None)
+
+
+def ends(**settings: Any) -> tuple[Any, Any]:
+    made = LinkSettings(7, connect_timeout=LIMIT, **settings)
+    robot, link = choice.end("auto", made, RealClock()), choice.link("auto", made, RealClock())
+    robot.open()
+    return link, robot
+
+
+def test_nodes_have_contexts_of_their_own_and_take_no_signals(ros: rclpy_stand_in.Ros) -> None:
+    link, robot = ends(namespace="/lab/")
+    link.open()
+    link.close()
+    robot.close()
+
+    no = rclpy_stand_in.SignalHandlerOptions.NO
+    assert [call for call in ros.calls if call[0] == "init"] == [("init", 7, no)] * 2
+    names = [call[1:] for call in ros.calls if call[0] == "node"]
+    assert names == [("emrld_sim_turtlebot", "lab"), ("emrld_bridge", "lab")]
+    spins = [call for call in ros.calls if call[0] == "spin"]
+    assert spins == [("spin", True, False)] * 2  # a daemon thread, not the main one
+
+
+def test_what_uses_ends_before_what_is_used(ros: rclpy_stand_in.Ros) -> None:
+    link, robot = ends()
+    robot.close()
+    robot.close()
+    before = len(ros.calls)
+    assert ros.names()[-4:] == [
+        "executor.shutdown",
+        "spin ends",
+        "destroy_node",
+        "context.try_shutdown",
+    ]
+    assert "wait_for_all_acked" in ros.names()[:-4]
+    link.close()  # was never open
+    assert len(ros.calls) == before
+    assert not ros.nodes
+    assert not [t for t in threading.enumerate() if t.name.startswith("emrld")]
+
+
+@pytest.mark.parametrize(
+    ("given", "kind"),
+    [("auto", TWIST_STAMPED), ("twist_stamped", TWIST_STAMPED), ("twist", TWIST)],
+)
+def test_messages_pass_with_every_field_of_its_type(
+    ros: rclpy_stand_in.Ros, given: str, kind: str
+) -> None:
+    link, robot = ends(command_type=given)
+    link.open()
+    assert link.command_type == kind
+    quarter: Any = np.float32(0.25)
+    link.send(Command(quarter, 1))
+    assert robot.wait(LIMIT)
+    assert list(robot.take_commands()) == [Command(0.25, 1.0)]
+    if kind == TWIST_STAMPED:
+        assert ros.published[-1].header.stamp.sec == 7  # the node's clock
+    robot.publish(Odometry(2.5, 0.0, np.float64(1), 2, -0.5, 0, 0, "a", "b"), (1, 2, 3))
+    assert link.wait(LIMIT)
+    taken = link.take()[0]
+    assert taken._replace(received=0.0, theta=round(taken.theta, 12)) == Odometry(
+        2.5, 0.0, 1.0, 2.0, -0.5, 0.0, 0.0, "a", "b"
+    )
+    link.close()
+    robot.close()
+
+
+def test_a_robot_is_reset_by_message_and_by_service(ros: rclpy_stand_in.Ros) -> None:
+    link, robot = ends(namespace="lab")
+    link.open()
+    link.request_reset()
+    assert robot.wait(LIMIT)
+    response = object()
+    assert ros.nodes[0].services["/lab/reset_simulation"](object(), response) is response
+    assert robot.take_resets() == 2
+    link.close()
+    robot.close()
+
+
+def test_nobody_and_another_type_are_told(ros: rclpy_stand_in.Ros) -> None:
+    _, robot = ends(command_type="twist")
+    for settings, words in (
+        (LinkSettings(7, "x", connect_timeout=0.1), r"/cmd_vel \(geometry_msgs/msg/Twist\)"),
+        (LinkSettings(7, command_type="twist_stamped", connect_timeout=0.1), "the robot takes"),
+    ):
+        link = choice.link("rclpy", settings, RealClock())
+        with pytest.raises(TransportError, match=words):
+            link.open()
+    robot.close()
+    assert not ros.nodes
+
+
+def test_a_robot_that_cannot_be_reset_is_told(ros: rclpy_stand_in.Ros) -> None:
+    link, robot = ends()
+    ros.nodes[0].subscribed[:1] = []
+    link.open()
+    with pytest.raises(TransportError, match="nobody listens at /reset"):
+        link.request_reset()
+    link.close()
+    robot.close()
+
+
+def test_what_only_dds_has_is_refused(ros: rclpy_stand_in.Ros) -> None:
+    for settings in (LinkSettings(peers=["10.0.0.1"]), LinkSettings(interface="wlan0")):
+        with pytest.raises(TransportError, match="are for robot=dds"):
+            choice.link("rclpy", settings, RealClock()).open()
+    assert not ros.calls
+
+
+def test_a_ros_that_does_not_start_is_told(
+    ros: rclpy_stand_in.Ros, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def fail(**_: Any) -> None:
+        raise RuntimeError("no middleware")
+
+    monkeypatch.setattr(sys.modules["rclpy"], "init", fail)
+    with pytest.raises(TransportError, match="rclpy does not join domain 7: no middleware"):
+        ends()
+    assert ros.names() == ["context.try_shutdown"]
