@@ -16,9 +16,20 @@ Config = TypeVar("Config")
 
 
 def configured(
-    command: str, purpose: str, examples: Sequence[str], defaults: Config
+    command: str,
+    purpose: str,
+    examples: Sequence[str],
+    defaults: Config,
+    meant: Callable[[Sequence[str]], Sequence[str]] = list,
 ) -> Config | None:
     """The settings that the command line gives; None after it asked for help, which is printed.
+
+    Args:
+        command: its name after `python -m`.
+        purpose: in a line.
+        examples: arguments.
+        defaults: all settings.
+        meant: arguments of another form as settings.
 
     Raises:
         SettingError: names what is wrong and what is allowed.
@@ -27,7 +38,7 @@ def configured(
     if any(argument in HELP for argument in arguments):
         print(usage(command, purpose, examples, defaults, {}))
         return None
-    return parse(arguments, defaults)
+    return parse(meant(arguments), defaults)
 
 
 def run_command(main: Callable[[], int]) -> NoReturn:

@@ -17,7 +17,7 @@ from emrld_jax.fields import setting
 from emrld_jax.runs import cli
 from emrld_jax.runs.config import ConfigError, check_config
 from emrld_jax.runs.help_texts import asks_for_help
-from emrld_jax.runs.outputs import check_new_npz
+from emrld_jax.runs.outputs import check_new
 from emrld_jax.runs.usage import usage
 
 
@@ -54,7 +54,7 @@ def main() -> int:
             f"quality={config.quality} is not allowed: it must be letters, digits, '_', '-' and '.'"
         )
     out = Path(config.out or f"demos/{config.env}_{config.quality}.npz")
-    check_new_npz(out)
+    check_new(out, ".npz")
     command = shlex.join(["python", "-m", "emrld_jax.import_demos", *arguments])
     file = import_file(config.file, config.env, config.quality, command)
     demos.save(out, file, envs_jax.make(config.env))

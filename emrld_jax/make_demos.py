@@ -17,7 +17,7 @@ from emrld_jax.fields import setting
 from emrld_jax.runs import cli
 from emrld_jax.runs.config import ConfigError, check_config
 from emrld_jax.runs.help_texts import asks_for_help
-from emrld_jax.runs.outputs import check_new_npz
+from emrld_jax.runs.outputs import check_new
 from emrld_jax.runs.usage import usage
 from envs_jax import make, names
 
@@ -72,7 +72,7 @@ def main() -> int:
     if config.quality == "suboptimal" and "sparse_iterations" in values:
         raise ConfigError("sparse_iterations has no effect with quality=suboptimal")
     out = Path(config.out or f"demos/{config.env}_{config.quality}.npz")
-    check_new_npz(out)
+    check_new(out, ".npz")
     make_file(config, out)
     return 0
 

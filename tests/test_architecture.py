@@ -109,6 +109,28 @@ def imported_by(file: Path) -> set[str]:
     return imported(file.read_text(), module_name(file), package=file.name == "__init__.py")
 
 
+def file_of(module: str) -> Path | None:
+    """The file that importing a module of this project runs; None for others'."""
+    path = ROOT.joinpath(*module.split("."))
+    files = (path / "__init__.py", path.with_suffix(".py"))
+    return next((file for file in files if file.is_file()), None)
+
+
+def reached_from(module: str) -> tuple[set[str], set[str]]:
+    """All that importing a module runs: modules of this project, and packages of others."""
+    ours, others, waiting = set[str](), set[str](), {module}
+    while waiting:
+        name = waiting.pop()
+        file = file_of(name)
+        if file is None:
+            others.add(name.split(".")[0])
+        elif name not in ours:
+            ours.add(name)
+            parents = {".".join(name.split(".")[:i]) for i in range(1, name.count(".") + 1)}
+            waiting |= imported_by(file) | parents
+    return ours, others - sys.stdlib_module_names
+
+
 def upward(module: str, imports: set[str]) -> list[str]:
     """The imports of this project's modules that do not point downward."""
     unit = unit_of(module)
@@ -170,13 +192,18 @@ def test_algorithms_assemble_and_do_nothing_else() -> None:
 
 
 def test_the_robots_policy_needs_numpy_alone() -> None:
-    file = ROOT / "bridges" / "policy.py"
-    if not file.is_file():
-        pytest.skip("there is no robot runtime yet")
+    ours, others = reached_from("bridges.policy")
 
-    others = {name.split(".")[0] for name in imported_by(file)} - sys.stdlib_module_names
+    assert {"bridges", "bridges.policy", "bridges.bundle"} <= ours
+    assert {name.split(".")[0] for name in ours} == {"bridges"}
+    assert others == {"numpy"}
 
-    assert others <= {"numpy"}
+
+def test_what_is_reached_is_seen() -> None:
+    ours, others = reached_from("envs_jax.point2d")
+
+    assert {"envs_jax", "envs_jax.goals", "envs_jax.physics.engine"} <= ours
+    assert {"jax", "flax"} <= others
 
 
 def test_the_layers_have_an_order() -> None:

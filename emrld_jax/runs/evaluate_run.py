@@ -17,7 +17,7 @@ from emrld_jax.runs.film import film, prepare_films
 from emrld_jax.runs.folder import RunFolder, new_folder
 from emrld_jax.runs.pictures import adaptation_curve, draw_episodes, num_drawn
 from emrld_jax.runs.progress import tell
-from emrld_jax.runs.provenance import provenance, read_provenance, sha256
+from emrld_jax.runs.provenance import other_demonstrations, provenance
 from emrld_jax.runs.report import SPLITS, before_and_after, tell_of_breakdowns, with_interval
 from emrld_jax.runs.saved import load_config, save_config
 from emrld_jax.runs.setup import Setup, set_up
@@ -41,7 +41,8 @@ def evaluate_run(config: EvaluateConfig, console: Console) -> int:
     # only adaptation is to be seen, so the outer loss's own demonstrations need not be there
     setup = set_up(replace(trained, adapt=config.adapt, demos=demos, outer_demos=None))
     shown = _demonstrations(config, setup)
-    _tell_of_other_demonstrations(setup, folder, console)
+    if note := other_demonstrations(folder.provenance, setup.demos_path):
+        tell(console, note)
     if config.video:
         prepare_films(setup.env)
     params, iteration = newest(setup, folder, lambda text: tell(console, text))
@@ -106,16 +107,6 @@ def _draw(
 def evaluation_key(seed: int) -> jax.Array:
     """The key of an evaluation; training folds only small numbers into its seed's key."""
     return jax.random.fold_in(jax.random.key(seed), STREAM)
-
-
-def _tell_of_other_demonstrations(setup: Setup, folder: RunFolder, console: Console) -> None:
-    try:
-        trained_on = read_provenance(folder.provenance)["demos"]["sha256"]
-    except ConfigError as error:  # an evaluation does not need it
-        tell(console, f"note: {error}")
-        return
-    if sha256(setup.demos_path) != trained_on:
-        tell(console, f"note: {setup.demos_path} is not the file that the run was trained on")
 
 
 def _other(tasks: str) -> str:

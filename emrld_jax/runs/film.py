@@ -2,30 +2,26 @@
 
 from __future__ import annotations
 
-import os
-import sys
 from collections.abc import Sequence
-from ctypes.util import find_library
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from matplotlib.figure import Figure
 
+from emrld_jax.runs.camera import Camera, check_camera
 from emrld_jax.runs.config import ConfigError
 from emrld_jax.runs.panels import Panel, save
 from emrld_jax.runs.strides import is_runner
 from envs_jax import Env
-from envs_jax.physics.models import check_installed, load_model
+from envs_jax.physics.models import check_installed
 
 WIDTH, HEIGHT = 320, 200  # px, as rendered
 SHOWN = 130  # px of the height, from below: above is the sky
 STRIP = 8  # frames of an episode in the film strip
-# what MuJoCo can render with where there is no display: library, Debian's package of it
-SOFTWARE = {"osmesa": ("OSMesa", "libosmesa6"), "egl": ("EGL", "libegl1")}
 
 
-def prepare_films(env: Env) -> None:
+def prepare_films(env: Any) -> None:
     """Chooses what to render with, before anything imports MuJoCo, which reads that only then.
 
     Raises:
@@ -35,20 +31,7 @@ def prepare_films(env: Env) -> None:
     if not is_runner(env):
         raise ConfigError(f"video=true is for half_cheetah; {env.name} has pictures of its paths")
     check_installed(("imageio",))
-    packages = " or ".join(package for _, package in SOFTWARE.values())
-    advice = (
-        f"video=true needs a library that renders without a display: install {packages} "
-        "(apt-get install ..), or set MUJOCO_GL=glfw where there is a display"
-    )
-    if sys.platform == "linux" and "MUJOCO_GL" not in os.environ:
-        if (software := _software()) is None:
-            raise ConfigError(advice)
-        os.environ["MUJOCO_GL"] = software
-    try:
-        _render(env, np.zeros((1, 9)))
-    except Exception as error:  # of many kinds: a missing driver, an unknown MUJOCO_GL, ..
-        told = os.environ.get("MUJOCO_GL", "the system's default")
-        raise ConfigError(f"{advice}; MUJOCO_GL={told} fails: {error}") from error
+    check_camera(env.model, "video=true")
 
 
 def film(env: Env, panels: Sequence[Panel], folder: Path) -> None:
@@ -82,18 +65,8 @@ def _episode(env: Any, panel: Panel, direction: float) -> np.ndarray:
 
 def _render(env: Any, positions: np.ndarray) -> np.ndarray:
     """Pictures of a runner with these joint positions [T, 9]: [T, SHOWN, WIDTH, 3]."""
-    import mujoco  # noqa: PLC0415
-
-    model = load_model(env.model)
-    data = mujoco.MjData(model)
-    frames = []
-    with mujoco.Renderer(model, HEIGHT, WIDTH) as renderer:
-        for qpos in positions:
-            data.qpos[:] = qpos
-            mujoco.mj_forward(model, data)
-            renderer.update_scene(data, camera="track")
-            frames.append(renderer.render()[HEIGHT - SHOWN :])
-    return np.stack(frames)
+    with Camera(env.model, WIDTH, HEIGHT) as camera:
+        return np.stack([camera.picture(qpos)[HEIGHT - SHOWN :] for qpos in positions])
 
 
 def _way(positions: np.ndarray, t: int) -> str:
@@ -138,8 +111,3 @@ def _strip(
     for axes, t in zip(grid[0], times, strict=True):
         axes.set_title(f"{env.dt * t:.2f} s")
     save(figure, path)
-
-
-def _software() -> str | None:
-    """What renders here without a display; None if nothing does."""
-    return next((name for name, (library, _) in SOFTWARE.items() if find_library(library)), None)

@@ -8,14 +8,14 @@ from pathlib import Path
 from emrld_jax.runs.config import ConfigError
 
 
-def check_new_npz(out: Path) -> None:
-    """Refuses a path that a new .npz file cannot be written to, and leaves nothing behind.
+def check_new(out: Path, *endings: str) -> None:
+    """Refuses a path that a new file with such an ending cannot be written to; leaves nothing.
 
     Raises:
         ConfigError: names the file and what is wrong.
     """
-    if out.suffix != ".npz":
-        raise ConfigError(f"out={out} must end in .npz")
+    if out.suffix not in endings:
+        raise ConfigError(f"out={out} must end in {' or '.join(endings)}")
     if out.exists():
         raise ConfigError(f"{out} exists; choose another file with out=PATH")
     existing = next(folder for folder in out.absolute().parents if folder.exists())

@@ -57,6 +57,16 @@ def read_provenance(path: Path) -> dict[str, Any]:
     return record
 
 
+def other_demonstrations(record: Path, demos: Path) -> str:
+    """A note if a run's record does not say that it was trained on this file; empty if it does."""
+    try:
+        trained_on = read_provenance(record)["demos"]["sha256"]
+    except ConfigError as error:  # only training needs the record
+        return f"note: {error}"
+    same = sha256(demos) == trained_on
+    return "" if same else f"note: {demos} is not the file that the run was trained on"
+
+
 def software() -> dict[str, Any]:
     """The code's commit and the versions of what it stands on."""
     return {

@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from emrld_jax.runs.film import SOFTWARE
+from emrld_jax.runs.camera import SOFTWARE
 from tests.conftest import Command
 from tests.runs.conftest import TINY
 from tests.runs.test_run import assert_same_run
