@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import shutil
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -13,19 +12,17 @@ from emrld_jax.analysis.groups import group_runs
 from emrld_jax.analysis.loading import load_runs
 from emrld_jax.analysis.page import write_report
 from tests.analysis.conftest import write_run
-
-CHROMIUM, DRIVER = (shutil.which(name) for name in ("chromium", "chromedriver"))
-FLAGS = (
-    *("--headless", "--no-sandbox", "--disable-gpu", "--disable-quic", "--no-first-run"),
-    *("--disable-background-networking", "--disable-component-update", "--disable-sync"),
+from tests.browser import (
+    SIZES,
+    assert_no_scrolling_sideways,
+    browser,
+    needs_chromium,
+    set_size,
 )
+
 LONG = f"{'a_very_long_name_' * 5}.npz"
-SIZES = {"desktop": (1280, 900), "phone": (390, 844)}
 
-pytestmark = pytest.mark.skipif(
-    not (CHROMIUM and DRIVER),
-    reason="no Chromium with its driver here (Debian: apt-get install chromium chromium-driver)",
-)
+pytestmark = needs_chromium
 
 
 @pytest.fixture(scope="module")
@@ -53,41 +50,25 @@ def report(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture(scope="module")
 def chromium(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Any]:
-    """The browser, for all tests; it downloads nothing and keeps nothing."""
-    from selenium import webdriver
-    from selenium.webdriver.chrome.service import Service
-
-    options = webdriver.ChromeOptions()
-    options.binary_location = str(CHROMIUM)
-    for flag in (*FLAGS, f"--user-data-dir={tmp_path_factory.mktemp('browser')}"):
-        options.add_argument(flag)
-    options.set_capability("goog:loggingPrefs", {"browser": "ALL"})
-    driver = webdriver.Chrome(options=options, service=Service(str(DRIVER)))
-    yield driver
-    driver.quit()
+    """The browser, for all tests."""
+    with browser(tmp_path_factory.mktemp("browser")) as driver:
+        yield driver
 
 
-def open_page(chromium: Any, report: Path, width: int, height: int) -> None:
-    """Opens a report in a window of this size."""
-    chromium.execute_cdp_cmd(
-        "Emulation.setDeviceMetricsOverride",
-        {"width": width, "height": height, "deviceScaleFactor": 1, "mobile": width < 600},
-    )
+def open_page(chromium: Any, report: Path, size: str) -> int:
+    """Opens a report in a window as large as one of SIZES; its width in pixels."""
+    width = set_size(chromium, size)
     chromium.get(report.as_uri())
+    return width
 
 
 @pytest.fixture(params=SIZES)
 def page(request: pytest.FixtureRequest, chromium: Any, report: Path) -> Iterator[Any]:
     """The report, opened; at the end the console must hold no word."""
-    width, height = SIZES[request.param]
-    open_page(chromium, report, width, height)
+    width = open_page(chromium, report, request.param)
     yield chromium
     assert chromium.get_log("browser") == []
-    inner, whole = chromium.execute_script(
-        "return [window.innerWidth, document.documentElement.scrollWidth]"
-    )
-    assert inner == width
-    assert whole <= width  # nothing but the tables scrolls sideways
+    assert_no_scrolling_sideways(chromium, width)  # nothing but the tables does
 
 
 def find(page: Any, selector: str) -> Any:
@@ -195,11 +176,11 @@ def test_the_results_fit_on_a_desktop(chromium: Any, tmp_path: Path) -> None:
         "const box = document.querySelector('#results').parentElement;"
         "return [box.clientWidth, box.scrollWidth, document.documentElement.scrollWidth]"
     )
-    open_page(chromium, tmp_path / "report.html", *SIZES["desktop"])
+    open_page(chromium, tmp_path / "report.html", "desktop")
     seen, whole, _ = chromium.execute_script(widths)
     assert 900 < whole <= seen
     assert "-1219.0 [-1234.5, -1203.5]" in column(chromium, "results", 6)
-    open_page(chromium, tmp_path / "report.html", *SIZES["phone"])
+    open_page(chromium, tmp_path / "report.html", "phone")
     seen, whole, page = chromium.execute_script(widths)
     assert seen < whole
     assert page <= SIZES["phone"][0]
@@ -210,7 +191,7 @@ def test_a_bar_holds_returns_below_zero_too(chromium: Any, tmp_path: Path) -> No
     write_run(tmp_path / "a", value=-70.0)  # -80 on held-out tasks
     write_run(tmp_path / "b", value=10.0, algo="gmps")
     write_report(group_runs(load_runs([tmp_path])), tmp_path / "report.html")
-    open_page(chromium, tmp_path / "report.html", *SIZES["desktop"])
+    open_page(chromium, tmp_path / "report.html", "desktop")
     places = "return [...document.querySelectorAll('#results {}')].map(n => +n.getAttribute('{}'))"
     dots = chromium.execute_script(places.format(".dot", "cx"))
     starts, ends, shown = (
@@ -224,7 +205,7 @@ def test_a_bar_holds_returns_below_zero_too(chromium: Any, tmp_path: Path) -> No
 def test_demonstrations_of_another_reward_are_not_shown(chromium: Any, tmp_path: Path) -> None:
     write_run(tmp_path / "a", value=-60.0, env__reward="dense")
     write_report(group_runs(load_runs([tmp_path])), tmp_path / "report.html")
-    open_page(chromium, tmp_path / "report.html", *SIZES["desktop"])
+    open_page(chromium, tmp_path / "report.html", "desktop")
     assert column(chromium, "results", 1) == ["point2d (dense reward) optimal"]
     assert column(chromium, "results", 4) == ["\u2013"]
     assert not chromium.find_elements("css selector", "#results .reference")
