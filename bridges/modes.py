@@ -1,0 +1,228 @@
+"""What `bridges.run` does: collect, adapt, execute."""
+
+from __future__ import annotations
+
+import json
+import time
+from pathlib import Path
+from types import ModuleType
+
+import numpy as np
+
+from bridges import bags, bundle, people
+from bridges.bundle import Bundle
+from bridges.driving import Drive, actor
+from bridges.episodes import Episode
+from bridges.files import write_bytes
+from bridges.messages import BridgeError
+from bridges.picture import draw
+from bridges.policy import Policy
+from bridges.recording import Recorder, Recording, header_of, read
+from bridges.recording_checks import INDEX
+from bridges.robot import TurtleBot3
+from bridges.run_settings import RunConfig
+from bridges.signals import Signals
+from bridges.stages import is_after_step
+from bridges.summary import summarized, table
+from bridges.world import World, driving_settings, rules_of, world, zone_of
+
+MOST_FAULTS = 3  # episodes in a row that may be broken off
+EXECUTION = "execution"  # the folder of the adapted policy's episodes
+ADAPTED = "adapted.safetensors"
+
+
+class Session:
+    """One command's work.
+
+    Args:
+        config: its settings.
+        first: the bundle that they name.
+        signals: that end the work.
+        ask: puts a question to a person, and returns when they let it go on.
+
+    Raises:
+        BridgeError: the bundle drives no TurtleBot3, or settings do not go together.
+    """
+
+    def __init__(
+        self,
+        config: RunConfig,
+        first: Bundle,
+        signals: Signals,
+        ask: people.Ask = people.ask,
+    ) -> None:
+        self._config, self._first, self._signals, self._ask = config, first, signals, ask
+        self._zone = zone_of(first)
+        self._rules = rules_of(config, first)
+        self._confirmed = config.yes or config.dry_run or config.robot == "memory"
+        self._asks = config.reset == "ask" and config.robot != "memory" and not config.dry_run
+        self._driven = False  # since it was last known to be at its start
+        self._world: World | None = None
+        self.out = Path(config.out or f"robot/{Path(str(config.bundle)).stem}")
+
+    def collect(self, driver: Bundle) -> None:
+        """Drives a bundle's policy with its noise until there are enough whole episodes."""
+        if driver.stage.adapted:
+            raise BridgeError("the bundle is adapted already, so it collects nothing: mode=execute")
+        self._drive(driver, f"recording_{driver.stage.recordings}", noise=True)
+
+    def execute(self, driver: Bundle) -> None:
+        """Drives a bundle's policy, as a rule without noise."""
+        if not driver.stage.adapted:
+            print("note: the bundle is not adapted; mode=collect and mode=adapt would do that")
+        self._drive(driver, EXECUTION, noise=not self._config.deterministic)
+
+    def adapt(self, driver: Bundle) -> Bundle:
+        """Adapts a bundle to what was recorded, and writes the bundle that this makes."""
+        adapting = _adapting()
+        folders = [Path(text) for text in self._config.recordings]
+        if not folders:
+            folders = [self.out / f"recording_{k}" for k in range(driver.stage.recordings + 1)]
+        recordings = [read(folder) for folder in folders]
+        began = time.perf_counter()
+        made: Bundle = adapting.adapted(driver, recordings)
+        seconds = time.perf_counter() - began
+        path = self._path_of(made)
+        bundle.write(path, made)
+        episodes = sum(episode.whole for episode in recordings[-1].episodes)
+        more = "" if made.stage.adapted else "; another inner step collects: drive this bundle next"
+        print(f"adapted to {episodes} episodes in {seconds:.1f} s: {path}{more}", flush=True)
+        return made
+
+    def everything(self) -> Bundle:
+        """Collects, adapts and executes; what is there already is not done again."""
+        if self._config.dry_run:
+            raise BridgeError("dry_run has nothing to adapt from: mode=collect or mode=execute")
+        driver = self._first
+        while not driver.stage.adapted:
+            self.collect(driver)
+            driver = self._made_before(driver) or self.adapt(driver)
+        self.execute(driver)
+        return driver
+
+    def tell(self) -> None:
+        """Writes and prints the summary of all that is in the folder, and draws it."""
+        folders = [path for path in self.out.iterdir() if (path / INDEX).is_file()]
+        folders.sort(key=lambda path: (path.name == EXECUTION, path.name))
+        recordings = {path.name: read(path) for path in folders}
+        summaries = {name: summarized(recording) for name, recording in recordings.items()}
+        for name, summary in summaries.items():
+            print(f"\n{name}\n{table(summary)}")
+        told = {
+            "environment": self._first.environment.name,
+            "task": self._first.task,
+            "algorithm": self._first.algorithm,
+            "control_period_s": self._first.control_period,
+            "recordings": summaries,
+        }
+        write_bytes(self.out / "summary.json", (json.dumps(told, indent=2) + "\n").encode())
+        titled = {self._title(name, r): r for name, r in recordings.items()}
+        drawn = bool(titled) and draw(self._first, titled, self.out / "paths")
+        picture = "paths.png and paths.svg" if drawn else "no picture, for matplotlib is missing"
+        print(f"\n{self.out}: summary.json, {picture}", flush=True)
+
+    def _drive(self, driver: Bundle, name: str, *, noise: bool) -> None:
+        """Drives until the recording of this name has enough whole episodes."""
+        bags.rosbags()  # whoever lacks it learns so before the robot is looked for
+        if self._is_complete(driver, self.out / name):
+            print(f"{self.out / name}: {self._config.episodes} whole episodes are there already")
+            return
+        self._world = self._world or world(self._config)
+        with TurtleBot3(self._world.link, self._world.clock, self._rules) as robot:
+            header = header_of(
+                driver,
+                noise=noise,
+                dry_run=self._config.dry_run,
+                command_type=robot.command_type,
+                driving=driving_settings(self._config),
+            )
+            recorder = Recorder(self.out / name, header)
+            progress = people.Progress(
+                name, self._config.episodes, self._zone, driver.control_period
+            )
+            faults = 0
+            while recorder.whole < self._config.episodes:
+                episode = self._one(robot, self._world, driver, recorder, progress, noise)
+                faults = 0 if episode.whole else faults + 1
+                if faults == MOST_FAULTS:
+                    raise BridgeError(
+                        f"{faults} episodes in a row were broken off, the last one: "
+                        f"{episode.ending}, {episode.detail}"
+                    )
+
+    def _one(
+        self,
+        robot: TurtleBot3,
+        world: World,
+        driver: Bundle,
+        recorder: Recorder,
+        progress: people.Progress,
+        noise: bool,
+    ) -> Episode:
+        """Drives an episode and writes it down."""
+        self._put_back(robot)
+        progress.begin(recorder.whole)
+        # an episode's own, so that one that goes on later has the noise it would have had
+        seeds = [self._config.seed, driver.stage.recordings, len(recorder.episodes)]
+        act = actor(Policy(driver), np.random.default_rng(seeds) if noise else None)
+        drive = Drive(robot, act, self._zone, world.clock, driver.control_period)
+        with self._signals.deferred():
+            self._driven = True
+            episode = drive.run(self._signals.reason, progress.show)
+            recorder.add(episode)
+            progress.end(episode)
+        return episode
+
+    def _put_back(self, robot: TurtleBot3) -> None:
+        """Brings the robot to its start, and asks whether it may move."""
+        config = self._config
+        if not self._confirmed:
+            self._ask(people.confirm_motion(self._first, self._zone))
+            self._confirmed = True
+        elif self._asks and self._driven:
+            self._ask("Put the robot back to its start, heading as it did.")
+        if (config.reset == "service" or config.robot == "memory") and not config.dry_run:
+            robot.reset()
+
+    def _is_complete(self, driver: Bundle, folder: Path) -> bool:
+        if not (folder / INDEX).is_file():
+            return False
+        recording = read(folder)
+        enough = sum(e.whole for e in recording.episodes) >= self._config.episodes
+        return enough and recording.header.bundle == driver.content_sha256
+
+    def _path_of(self, made: Bundle) -> Path:
+        name = ADAPTED if made.stage.adapted else f"policy_{made.stage.recordings}.safetensors"
+        return self.out / name
+
+    def _made_before(self, driver: Bundle) -> Bundle | None:
+        """What adaptation has made of this bundle and its recording already."""
+        number = driver.stage.recordings
+        for path in (self.out / ADAPTED, self.out / f"policy_{number + 1}.safetensors"):
+            if path.is_file():
+                made = bundle.read(path)
+                if is_after_step(made, driver, read(self.out / f"recording_{number}")):
+                    print(f"{path}: is adapted to the recording already")
+                    return made
+        return None
+
+    def _title(self, name: str, recording: Recording) -> str:
+        """What a recording is, for people."""
+        path = self.out / ADAPTED
+        known = [self._first, *([bundle.read(path)] if path.is_file() else [])]
+        after = {one.content_sha256 for one in known if one.stage.adapted}
+        if recording.header.bundle in after:
+            return "after adaptation"
+        return "before adaptation" if name == "recording_0" else name
+
+
+def _adapting() -> ModuleType:
+    try:
+        # only here: all but this does without JAX
+        from bridges import adapting  # noqa: PLC0415
+    except ImportError as error:
+        raise BridgeError(
+            f"adapting needs JAX and what else emrld-jax depends on ({error}); copy the folder to "
+            "a machine that has it, run mode=adapt there, and bring adapted.safetensors back"
+        ) from error
+    return adapting

@@ -1,0 +1,278 @@
+"""A TurtleBot3 over any transport: its pose since an episode began, and commands it may have."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from contextlib import AbstractContextManager, suppress
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+
+from bridges.clock import Clock
+from bridges.messages import STOP, BridgeError, Command, Odometry
+from bridges.safety import Fault, Limits, RobotFault, wrapped
+from bridges.tracking import Guard, Tracker, check_clocks
+from bridges.transports.base import RobotLink, TransportError
+
+STOPS = 5  # zero velocities that are sent to stop: some may get lost
+BETWEEN_STOPS = 0.02  # s
+CLOCK_WINDOW = 1.0  # s over which the speed of the robot's clock is measured
+SAME_PLACE = (0.1, 0.2)  # m and rad that a robot may be off its start after a reset
+RESET_TAKES = 0.3  # s before which odometry may still be from before a reset
+RESET_SHOWS = 1.0  # s in which a reset shows in odometry; then it is asked for again
+RESTS = 1.0  # s at most that zero velocity is sent on leaving, until odometry shows it
+AT_REST = (0.01, 0.1)  # m/s and rad/s that odometry may show of a robot that stands
+SOON = 1e-6  # s: a moment this near has come
+
+
+class Observation(NamedTuple):
+    """What a policy sees of the robot."""
+
+    pose: np.ndarray  # [3] float32: x (m), y (m), theta (rad, continuous), since `begin`
+    age: float  # s, of the odometry that it is made of
+
+
+@dataclass(frozen=True)
+class RobotRules:
+    """How a robot is driven.
+
+    Attributes:
+        limits: of its commands.
+        guard: of its odometry.
+        injected: rad/s that are added to every action.
+        tick: s between repetitions of a command, which robots with a command timeout need.
+        patience: s to wait for odometry before it is given up.
+        from_start: poses are seen from where the episode began; otherwise as odometry has them.
+        dry_run: publish nothing.
+    """
+
+    limits: Limits
+    guard: Guard
+    injected: float = 0.0
+    tick: float = 0.05
+    patience: float = 10.0
+    from_start: bool = True
+    dry_run: bool = False
+
+
+class TurtleBot3(AbstractContextManager):
+    """A robot to drive; as a context it is connected, and at the end stands still.
+
+    All methods are for one thread. Between `send_action` and the next one, call `hold`: it repeats
+    the command and guards the robot, which does not stop by itself if nobody calls.
+
+    Attributes:
+        odometry: all that arrived since `begin`.
+        commands: all that was published since `begin`, with the clock's time of each.
+    """
+
+    def __init__(self, link: RobotLink, clock: Clock, rules: RobotRules) -> None:
+        self._link, self._clock, self._rules = link, clock, rules
+        self.odometry: list[Odometry] = []
+        self.commands: list[tuple[float, Command]] = []
+        self._tracker = Tracker(rules.guard)
+        self._home: Odometry | None = None  # where a reset brings it
+        self._target = self._sent = STOP
+        self._sent_at = -math.inf
+        self._connected = False
+
+    def __enter__(self) -> TurtleBot3:
+        self.connect()
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.disconnect()
+
+    @property
+    def command_type(self) -> str:
+        """What commands are sent as, one of `bridges.messages.COMMAND_TYPES`."""
+        return self._link.command_type
+
+    def connect(self) -> None:
+        """Finds the robot, and compares its clock with ours.
+
+        Raises:
+            TransportError: it is not there.
+            BridgeError: it sends no odometry, or its clock runs at another speed.
+        """
+        self._connected = True
+        try:
+            self._link.open()
+            first = self._await_odometry()
+            self._listen(first.received + CLOCK_WINDOW)
+            check_clocks(first, self._tracker.newest or first, CLOCK_WINDOW)
+        except BaseException:
+            self._connected = False
+            self._link.close()
+            raise
+
+    def begin(self) -> None:
+        """Begins an episode where the robot is now.
+
+        Raises:
+            BridgeError: there is no odometry.
+            RobotFault: there is none that can be trusted, or it is outside the geofence.
+        """
+        self._target = self._sent = STOP
+        self._sent_at = -math.inf
+        self._await_odometry()
+        self.odometry, self.commands = self.odometry[-1:], []
+        if self._rules.from_start:
+            self._tracker.start_here()
+        if fault := self.check():
+            raise RobotFault(fault)
+
+    def get_observation(self) -> Observation:
+        """The newest pose; NaN and infinitely old if there is none."""
+        self._take()
+        return Observation(self._tracker.pose(), self._tracker.age(self._clock.now()))
+
+    def send_action(self, action: Sequence[float] | np.ndarray) -> Command:
+        """Commands a velocity.
+
+        Args:
+            action: linear (m/s) and angular (rad/s) velocity.
+
+        Returns:
+            What was really sent now: limited, and not far from what was sent before. `hold` goes on
+            toward the action.
+
+        Raises:
+            RobotFault: the robot may not be driven on; it was stopped.
+        """
+        if fault := self.check():
+            self.stop()
+            raise RobotFault(fault)
+        asked = Command(float(action[0]), float(action[1]) + self._rules.injected)
+        self._target = self._rules.limits.clamp(asked)
+        return self._advance()
+
+    def hold(
+        self, until: float, interrupted: Callable[[], str | None] = lambda: None
+    ) -> Fault | None:
+        """Repeats the command up to a moment, unless something is wrong: then it stops the robot.
+
+        Args:
+            until: the clock's time, s.
+            interrupted: asked at each tick; a text stops the robot, too.
+
+        Returns:
+            Why the robot was stopped before the moment; None if it was not.
+        """
+        while self._clock.now() < until - SOON:
+            self._listen(min(until, self._clock.now() + self._rules.tick))
+            reason = interrupted()
+            if fault := (Fault("interrupted", reason) if reason else self.check()):
+                self.stop()
+                return fault
+            now = self._clock.now()
+            # at the last moment the next action is sent instead
+            if now - self._sent_at > self._rules.tick - SOON and now < until - SOON:
+                self._advance()
+        return None
+
+    def check(self) -> Fault | None:
+        """Why the robot may not be driven on; None: it may. The first reason since `begin`."""
+        self._take()
+        return self._tracker.check(self._clock.now())
+
+    def stop(self) -> None:
+        """Sends zero velocity, several times.
+
+        Raises:
+            TransportError: the last one could not be sent.
+        """
+        self._target = STOP
+        for left in reversed(range(STOPS)):
+            with suppress(*(TransportError,) * bool(left)):
+                self._publish(STOP)
+            self._clock.sleep_until(self._clock.now() + BETWEEN_STOPS)
+
+    def reset(self) -> None:
+        """Has a simulated robot put back to its start.
+
+        Raises:
+            BridgeError: it does not go there.
+        """
+        deadline = self._clock.now() + self._rules.patience
+        while self._clock.now() < deadline:
+            if not self._rules.dry_run:
+                self._link.request_reset()
+            self._listen(self._clock.now() + RESET_TAKES)
+            shows = self._clock.now() + RESET_SHOWS
+            while self._clock.now() < shows - SOON:
+                if self._is_home():
+                    return
+                self._listen(min(shows, self._clock.now() + self._rules.tick))
+            # the first time it is wherever the reset has brought it
+            self._home = self._home or self._tracker.newest
+        raise BridgeError(
+            "the robot did not go back to its start: reset=service is for simulated robots, and "
+            "needs their odometry"
+        )
+
+    def disconnect(self) -> None:
+        """Stops the robot, waits until it stands, and disconnects; may be called twice."""
+        if not self._connected:
+            return
+        self._connected = False
+        try:
+            self.stop()
+            self._come_to_rest()
+        finally:
+            self._link.close()
+
+    def _await_odometry(self) -> Odometry:
+        self._take()
+        self._tracker.forget()
+        deadline = self._clock.now() + self._rules.patience
+        while self._tracker.newest is None:
+            if self._clock.now() > deadline:
+                raise BridgeError(f"no odometry came within {self._rules.patience:g} s")
+            self._listen(self._clock.now() + self._rules.tick)
+        return self._tracker.newest
+
+    def _is_home(self) -> bool:
+        here, home = self._tracker.newest, self._home
+        if here is None or home is None:
+            return False
+        way = math.hypot(here.x - home.x, here.y - home.y)
+        turn = abs(wrapped(here.theta - home.theta))
+        return way < SAME_PLACE[0] and turn < SAME_PLACE[1]
+
+    def _come_to_rest(self) -> None:
+        """Repeats zero velocity until the robot is seen to stand: messages may get lost."""
+        began = self._clock.now()
+        while not self._rules.dry_run and self._clock.now() < began + RESTS:
+            self._listen(self._clock.now() + self._rules.tick)
+            newest = self._tracker.newest
+            if newest is not None and newest.received > began:
+                speeds = (newest.linear, newest.angular)
+                if all(abs(x) < most for x, most in zip(speeds, AT_REST, strict=True)):
+                    return
+            self._publish(STOP)
+
+    def _listen(self, until: float) -> None:
+        """Takes odometry up to a moment."""
+        while (left := until - self._clock.now()) > SOON:
+            self._link.wait(left)
+            self._take()
+
+    def _take(self) -> None:
+        messages = self._link.take()
+        self.odometry += messages
+        self._tracker.take(messages)
+
+    def _advance(self) -> Command:
+        """Sends what comes nearest to the action by now."""
+        passed = min(self._clock.now() - self._sent_at, self._rules.tick)
+        return self._publish(self._rules.limits.toward(self._target, self._sent, passed))
+
+    def _publish(self, command: Command) -> Command:
+        self._sent, self._sent_at = command, self._clock.now()
+        if not self._rules.dry_run:
+            self._link.send(command)
+            self.commands.append((self._sent_at, command))
+        return command

@@ -1,0 +1,70 @@
+"""Ctrl-C, SIGTERM and a lost terminal, while a robot drives and while it does not."""
+
+from __future__ import annotations
+
+import signal
+import time
+from collections.abc import Iterator
+from contextlib import AbstractContextManager, contextmanager
+from types import FrameType
+from typing import Any
+
+SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)  # the last: the terminal is gone
+
+
+HANGS = 1.0  # s after a signal in which a loop that does not hang has ended
+
+
+class Interrupted(KeyboardInterrupt):
+    """The process was asked to end by a signal."""
+
+    def __init__(self, number: int) -> None:
+        super().__init__(signal.Signals(number).name)
+        self.code = 128 + number  # what a shell expects as the exit code
+
+
+class Signals(AbstractContextManager):
+    """Turns signals into `Interrupted`, raised at once or, while a robot drives, at its end.
+
+    A loop that drives asks `reason` at each tick, so that nothing is broken off in the middle of
+    sending a command. One that comes HANGS seconds after the first is raised at once there, too.
+    """
+
+    def __init__(self) -> None:
+        self._received: int | None = None
+        self._at = 0.0  # when, in s of a monotonic clock
+        self._deferring = False
+        self._before: dict[int, Any] = {}
+
+    def __enter__(self) -> Signals:
+        self._before = {number: signal.signal(number, self._take) for number in SIGNALS}
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        for number, handler in self._before.items():
+            signal.signal(number, handler)
+
+    def reason(self) -> str | None:
+        """The name of the signal that came; None: none."""
+        return None if self._received is None else signal.Signals(self._received).name
+
+    @contextmanager
+    def deferred(self) -> Iterator[None]:
+        """Within, a signal waits for the end.
+
+        Raises:
+            Interrupted: at the end, if one came.
+        """
+        self._deferring = True
+        try:
+            yield
+        finally:
+            self._deferring = False
+        if self._received is not None:
+            raise Interrupted(self._received)
+
+    def _take(self, number: int, _: FrameType | None) -> None:
+        if self._received is None:
+            self._received, self._at = number, time.monotonic()
+        if not self._deferring or time.monotonic() - self._at > HANGS:
+            raise Interrupted(number)

@@ -1,0 +1,270 @@
+"""The robot's pose, its commands, and what stops it, in a clock that the test owns."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numpy as np
+import pytest
+
+from bridges.messages import STOP, BridgeError, Command, Odometry
+from bridges.robot import STOPS, TurtleBot3
+from bridges.safety import RobotFault, limits_of
+from bridges.tracking import Guard, Tracker
+from bridges.transports.base import TransportError
+from tests.bridges.fake_robot import FakeRobot, rules
+
+
+def connected(fake: FakeRobot, **changes: Any) -> TurtleBot3:
+    robot = TurtleBot3(fake, fake.clock, rules(**changes))
+    robot.connect()
+    robot.begin()
+    return robot
+
+
+def drive(robot: TurtleBot3, fake: FakeRobot, action: tuple[float, float], seconds: float) -> Any:
+    robot.send_action(action)
+    return robot.hold(fake.clock.now() + seconds)
+
+
+def stops_at_the_end(fake: FakeRobot) -> int:
+    commands = [command for _, command in fake.received]
+    return next((i for i, c in enumerate(reversed(commands)) if c != STOP), len(commands))
+
+
+def test_poses_are_seen_from_where_the_episode_began() -> None:
+    fake = FakeRobot(start=(3.0, -1.0, math.pi / 2))
+    robot = connected(fake)
+    assert np.allclose(robot.get_observation().pose, 0)
+
+    assert drive(robot, fake, (0.2, 0.0), 2.0) is None
+    robot.stop()
+    drive(robot, fake, (0.0, 0.0), 0.1)
+
+    # 0.4 m ahead: along the world's y, the episode's x
+    assert fake.pose == pytest.approx((3.0, -0.6, math.pi / 2))
+    assert robot.get_observation().pose == pytest.approx([0.4, 0.0, 0.0], abs=1e-6)
+
+
+def test_poses_can_be_those_of_odometry() -> None:
+    fake = FakeRobot(start=(0.5, -1.0, 0.3))
+
+    pose = connected(fake, from_start=False).get_observation().pose
+
+    assert pose == pytest.approx([0.5, -1.0, 0.3])
+
+
+def test_the_heading_goes_on_after_a_whole_turn() -> None:
+    fake = FakeRobot(start=(0.0, 0.0, 3.0))
+    robot = connected(fake)
+
+    drive(robot, fake, (0.0, -2.0), 6.0)
+    drive(robot, fake, (0.0, 0.0), 0.1)
+
+    assert robot.get_observation().pose[2] == pytest.approx(-12.0, abs=1e-5)
+
+
+def test_what_was_sent_is_returned_and_repeated() -> None:
+    fake = FakeRobot()
+    limits = limits_of((0.0, -1.5), (0.15, 1.5), -1.3, 0.22, 2.84, 1.0, 10.0)
+    robot = connected(fake, limits=limits, injected=-1.3)
+
+    # after a tick of 0.05 s: 0.05 m/s and 0.5 rad/s from rest
+    assert robot.send_action((9.0, 0.5)) == pytest.approx((0.05, -0.5))
+    robot.hold(fake.clock.now() + 0.5)
+
+    sent = [command for _, command in fake.received]
+    assert [c.linear for c in sent[:3]] == pytest.approx([0.05, 0.1, 0.15])
+    assert [c.angular for c in sent[:3]] == pytest.approx([-0.5, -0.8, -0.8])
+    assert all(command == pytest.approx((0.15, -0.8)) for command in sent[2:])
+    assert len(sent) == 10  # every 0.05 s, until the next action
+    assert robot.commands == fake.received
+
+
+def test_the_age_counts_from_the_arrival_or_the_delayed_stamp() -> None:
+    tracker = Tracker(Guard(0.5, 0.22, 2.84, math.inf))
+    tracker.take([Odometry(100.0, 5.0, 0, 0, 0, 0, 0), Odometry(100.1, 5.1, 0, 0, 0, 0, 0)])
+    assert tracker.age(5.15) == pytest.approx(0.05)
+
+    # held up on its way: stamped 0.1 s after the one before, and arrived 0.7 s after it
+    tracker.take([Odometry(100.2, 5.8, 0, 0, 0, 0, 0)])
+    assert tracker.age(5.8) == pytest.approx(0.6)
+    fault = tracker.check(5.8)
+    assert fault is not None
+    assert fault.reason == "stale"
+
+
+@pytest.mark.parametrize(
+    ("change", "reason"),
+    [
+        (lambda o: [], "stale"),
+        (lambda o: [o._replace(stamp=1003.0)], "stale"),  # the same again and again
+        (lambda o: [o._replace(x=math.nan)], "not finite"),
+        (lambda o: [o._replace(x=o.x + 1)], "jump"),
+        (lambda o: [o, o._replace(stamp=o.stamp - 0.02)], "out of order"),
+    ],
+)
+def test_odometry_that_cannot_be_trusted_stops_the_robot(change: Any, reason: str) -> None:
+    fake = FakeRobot()
+    robot = connected(fake)
+    fake.change = lambda now, odometry: change(odometry) if now > 3.0 else [odometry]
+
+    fault = drive(robot, fake, (0.1, 0.0), 10.0)
+
+    assert fault is not None
+    assert fault.reason == reason
+    assert stops_at_the_end(fake) == STOPS
+    last_driving = max(when for when, command in fake.received if command != STOP)
+    assert 2.9 < last_driving < 3.6
+    with pytest.raises(RobotFault, match=reason):
+        robot.send_action((0.1, 0.0))
+    assert stops_at_the_end(fake) == 2 * STOPS
+
+
+def test_after_a_fault_another_episode_may_begin() -> None:
+    fake = FakeRobot()
+    robot = connected(fake)
+    fake.change = lambda now, o: [o._replace(x=o.x + (1 if now > 2.0 else 0))]
+    assert drive(robot, fake, (0.1, 0.0), 2.0) is not None
+
+    robot.begin()
+
+    assert drive(robot, fake, (0.1, 0.0), 1.0) is None
+
+
+def test_the_geofence_stops_the_robot() -> None:
+    fake = FakeRobot()
+    robot = connected(fake, geofence=0.3)
+
+    fault = drive(robot, fake, (0.2, 0.0), 10.0)
+
+    assert fault is not None
+    assert fault.reason == "arena"
+    assert 0.3 < fake.pose[0] < 0.3 + 0.2 * 0.15
+    assert stops_at_the_end(fake) == STOPS
+
+
+def test_an_interruption_stops_the_robot() -> None:
+    fake = FakeRobot()
+    robot = connected(fake)
+    robot.send_action((0.1, 0.0))
+
+    fault = robot.hold(99.0, lambda: "SIGTERM" if fake.clock.now() > 2 else None)
+
+    assert fault == ("interrupted", "SIGTERM")
+    assert stops_at_the_end(fake) == STOPS
+
+
+def test_a_dry_run_publishes_nothing() -> None:
+    fake = FakeRobot()
+    with TurtleBot3(fake, fake.clock, rules(dry_run=True)) as robot:
+        robot.begin()
+        assert robot.send_action((0.1, 0.5)) == Command(0.1, 0.5)
+        robot.hold(fake.clock.now() + 1.0)
+        robot.stop()
+
+    assert not fake.received
+    assert fake.resets == 0
+
+
+def test_leaving_stops_and_disconnects_once() -> None:
+    fake = FakeRobot()
+    with TurtleBot3(fake, fake.clock, rules()) as robot:
+        robot.begin()
+        robot.send_action((0.1, 0.0))
+        robot.disconnect()
+
+    assert stops_at_the_end(fake) >= STOPS
+    assert fake.closed == 1
+
+
+def test_leaving_waits_until_the_robot_is_seen_to_stand() -> None:
+    fake = FakeRobot()
+    with TurtleBot3(fake, fake.clock, rules()) as robot:
+        robot.begin()
+        robot.send_action((0.1, 0.0))
+        robot.hold(fake.clock.now() + 1)
+        lost = fake.clock.now() + 0.4
+        send = fake.send
+        fake.send = lambda command: send(command) if fake.clock.now() > lost else None  # type: ignore[method-assign]
+
+    assert fake.received[-1][0] == pytest.approx(lost, abs=0.1)
+    assert fake.received[-1][1] == STOP
+    assert fake.clock.now() < lost + 0.2
+
+
+def test_commands_that_cannot_be_sent_keep_nobody_from_trying_again() -> None:
+    fake = FakeRobot()
+    robot = connected(fake)
+    tries: list[Command] = []
+
+    def fails(command: Command) -> None:
+        tries.append(command)
+        raise TransportError("no network")
+
+    fake.send = fails  # type: ignore[method-assign]
+    with pytest.raises(TransportError, match="no network"):
+        robot.stop()
+    assert tries == [STOP] * STOPS
+
+
+def test_an_exception_stops_the_robot() -> None:
+    fake = FakeRobot()
+
+    def goes_wrong() -> None:
+        with TurtleBot3(fake, fake.clock, rules()) as robot:
+            robot.begin()
+            robot.send_action((0.1, 0.0))
+            raise ZeroDivisionError
+
+    with pytest.raises(ZeroDivisionError):
+        goes_wrong()
+
+    assert stops_at_the_end(fake) >= STOPS
+
+
+@pytest.mark.parametrize("rate", [0.1, 10.0])
+def test_a_robot_whose_clock_runs_at_another_speed_is_refused(rate: float) -> None:
+    fake = FakeRobot()
+    fake.stamp_rate = rate
+    with pytest.raises(BridgeError, match=f"runs {rate:.2f} times as fast"):
+        TurtleBot3(fake, fake.clock, rules()).connect()
+
+    assert fake.closed == 1
+
+
+def test_a_robot_that_tells_nothing_is_refused() -> None:
+    fake = FakeRobot()
+    fake.change = lambda now, odometry: []
+    with pytest.raises(BridgeError, match="no odometry came within 10 s"):
+        TurtleBot3(fake, fake.clock, rules()).connect()
+
+    assert not fake.received
+
+
+def test_a_reset_brings_a_simulated_robot_back() -> None:
+    fake = FakeRobot(start=(1.0, 2.0, 0.5))
+    robot = connected(fake)
+    robot.reset()
+    robot.begin()
+    drive(robot, fake, (0.2, 0.3), 5.0)
+    robot.stop()
+
+    robot.reset()
+    robot.begin()
+
+    assert fake.pose == (1.0, 2.0, 0.5)
+    assert np.allclose(robot.get_observation().pose, 0)
+
+
+def test_a_robot_that_takes_no_reset_is_told() -> None:
+    fake = FakeRobot()
+    robot = connected(fake)
+    robot.reset()
+    drive(robot, fake, (0.2, 0.0), 3.0)
+    robot.stop()
+    fake.start = fake.pose
+
+    with pytest.raises(BridgeError, match="did not go back to its start"):
+        robot.reset()
