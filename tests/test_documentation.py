@@ -13,9 +13,9 @@ from emrld_jax import algorithms
 ROOT = Path(__file__).parents[1]
 
 
-def example(page: str) -> str:
-    """The first Python example of a page."""
-    return (ROOT / page).read_text().split("```python\n")[1].split("```")[0]
+def example(page: str, number: int = 1) -> str:
+    """A Python example of a page, counted from 1."""
+    return (ROOT / page).read_text().split("```python\n")[number].split("```")[0]
 
 
 def test_the_example_of_the_readme(capsys: pytest.CaptureFixture[str]) -> None:
@@ -33,6 +33,14 @@ def test_the_example_of_the_environments(capsys: pytest.CaptureFixture[str]) -> 
     assert capsys.readouterr().out.split() == ["[0.11", "0.", "0.", "]", "0.0", "0.0"]
 
 
+def test_the_example_of_the_simulator(capsys: pytest.CaptureFixture[str]) -> None:
+    exec(example("docs/bridge/simulator.md"), {})
+    # 2 s at 0.15 m/s, held straight against the drift
+    x = re.search(r"stamp=2.0, .* x=([\d.]+)", capsys.readouterr().out)
+    assert x
+    assert float(x[1]) == pytest.approx(0.3, abs=0.01)
+
+
 def test_the_example_of_parts_without_configuration() -> None:
     names: dict = {}
     exec(example("docs/guides/python.md"), names)
@@ -40,6 +48,27 @@ def test_the_example_of_parts_without_configuration() -> None:
     assert names["train"].demos.mask.shape[0] == 24  # TwoWheeled's training tasks
     params = names["learner"].init(jax.random.key(0)).params
     assert params["params"]["layer_0"]["kernel"].shape == (3, 100)
+
+
+@pytest.mark.parametrize(
+    ("number", "words"),
+    [
+        # half a second ahead, and a turn; the goal of task 3 is at 22.5 degrees, 2 m away
+        (1, ["[0.11", "0.", "0.25", "[1.84775907", "0.76536686"]),
+        (2, ["(12,", "2)", "(12,", "2)"]),
+        (3, ["True"]),  # it gets there
+    ],
+)
+def test_the_examples_of_gymnasium(
+    number: int, words: list[str], capsys: pytest.CaptureFixture[str]
+) -> None:
+    exec(example("docs/bridge/gymnasium.md", number), {})
+    told = capsys.readouterr().out.replace("]", " ").split()
+    for word, expected in zip(told, words, strict=False):
+        if "." in expected:
+            assert float(word.strip("[")) == pytest.approx(float(expected.strip("[")), abs=1e-6)
+        else:
+            assert word == expected
 
 
 @pytest.mark.parametrize("page", ["docs/guides/algorithm.md", "docs/concepts.md"])

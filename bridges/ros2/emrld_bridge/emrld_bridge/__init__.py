@@ -1,0 +1,1 @@
+"""Policies of emrld-jax on a TurtleBot3, as nodes of ROS 2."""
