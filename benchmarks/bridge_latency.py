@@ -19,6 +19,7 @@ from importlib.metadata import version
 import numpy as np
 
 from benchmarks.choice import origin
+from benchmarks.loopback import stay_here
 from benchmarks.records import write_record
 from bridges.clock import RealClock
 from bridges.command_line import configured, run_command
@@ -29,13 +30,6 @@ from emrld_jax.fields import setting
 
 _QUANTILES = (0, 10, 50, 90, 99, 100)  # percent
 _LIMIT = 5.0  # s that an answer may take
-# nothing leaves this machine, unless the user's environment says otherwise
-_LOOPBACK = {
-    "CYCLONEDDS_URI": "<CycloneDDS><Domain><General><Interfaces>"
-    '<NetworkInterface name="lo" multicast="false"/>'
-    "</Interfaces><AllowMulticast>false</AllowMulticast></General></Domain></CycloneDDS>",
-    "ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST",
-}
 
 
 @dataclass
@@ -100,8 +94,7 @@ def main() -> int:
     )
     if config is None:
         return 0
-    for name, value in _LOOPBACK.items():
-        os.environ.setdefault(name, value)
+    stay_here()
     link = choice.link(config.transport, LinkSettings(config.domain_id), RealClock())
     measured: dict[str, np.ndarray] = {}
     with robot(config):
