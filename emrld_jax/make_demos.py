@@ -22,7 +22,13 @@ from emrld_jax.runs.usage import usage
 from envs_jax import make, names
 
 if TYPE_CHECKING:
+    from rich.console import Console
+
+    from emrld_jax.demos import DemoFile
     from emrld_jax.demos.making import Training
+    from emrld_jax.runs.experts import KeptTraining
+
+ITERATIONS = ("dense_iterations", "sparse_iterations")
 
 
 @dataclass
@@ -59,7 +65,8 @@ def main() -> int:
         print(
             usage(
                 "emrld_jax.make_demos",
-                "Train an expert and write one demonstration a task into a file.",
+                "Train an expert and write one demonstration a task into a file.\n"
+                "Stopped at any point, the same command goes on where it was.",
                 ("env=point2d quality=optimal", "env=two_wheeled quality=suboptimal seed=1"),
                 MakeDemosConfig(),
                 {},
@@ -83,18 +90,46 @@ def make_file(config: MakeDemosConfig, out: Path) -> None:
     from rich.console import Console  # noqa: PLC0415
 
     from emrld_jax.demos import check_tasks, provenance, save  # noqa: PLC0415
-    from emrld_jax.demos.making import make_demos  # noqa: PLC0415
-    from emrld_jax.runs.progress import ProgressView, tell  # noqa: PLC0415
+    from emrld_jax.runs.experts import kept_training  # noqa: PLC0415
+    from emrld_jax.runs.progress import tell  # noqa: PLC0415
     from emrld_jax.runs.provenance import software  # noqa: PLC0415
 
     console, env = Console(), make(config.env)
     training = chosen_training(config)
-    before = {"dense": 0, "sparse": training.dense_iterations}  # iterations
-    told_at = time.perf_counter()
-    total = training.dense_iterations + training.sparse_iterations
-    with ProgressView(console, 0, total) as view:
+    iterations = {name: getattr(training, name) for name in ITERATIONS}
+    settings = {"env": config.env, "quality": config.quality, "seed": config.seed, **iterations}
+    with kept_training(out, settings, console) as kept:
+        file = trained_demos(config, training, kept, console)
+        if not training.sparse_iterations:
+            tell(console, "stopped: for every task there is a try that fits")
+        figures = {"train": summary(file.train), "test": summary(file.test)}
+        told = [argument for argument in sys.argv[1:] if not argument.startswith("out=")]
+        origin = provenance(
+            command=shlex.join(["python", "-m", "emrld_jax.make_demos", *told]),
+            seed=config.seed,
+            **software(),
+            began=kept.began["code"],  # of an earlier version, perhaps
+            figures=figures,
+        )
+        file = replace(file, provenance=origin)
+        check_tasks(file, env)
+        save(out, file, env)
+    for split, values in figures.items():
+        console.print(f"{split}: " + ", ".join(f"{k} {v}" for k, v in values.items()))
+    console.print(f"wrote {out}")
 
-        def report(reward: str, iteration: int, metrics: dict[str, Any]) -> None:
+
+def trained_demos(
+    config: MakeDemosConfig, training: Training, kept: KeptTraining, console: Console
+) -> DemoFile:
+    """Demonstrations of an expert that is trained, or whose training goes on, with progress."""
+    from emrld_jax.demos.making import Standing, make_demos  # noqa: PLC0415
+    from emrld_jax.runs.progress import ProgressView  # noqa: PLC0415
+
+    told_at = time.perf_counter()
+    with ProgressView(console, 0, sum(getattr(training, name) for name in ITERATIONS)) as view:
+
+        def report(reward: str, standing: Standing, metrics: dict[str, Any]) -> None:
             nonlocal told_at
             last, told_at = told_at, time.perf_counter()
             broken = float(metrics["expert/diverged"])
@@ -104,25 +139,10 @@ def make_file(config: MakeDemosConfig, out: Path) -> None:
                 + f"  {broken:.2%} of simulations broke down"
                 * (broken > 0)
             )
-            view.show(before[reward] + iteration, figures, told_at - last)
+            view.show(standing.iteration, figures, told_at - last)
+            kept.keep(standing)
 
-        file = make_demos(config.env, config.quality, config.seed, training, report)
-    if not training.sparse_iterations:
-        tell(console, "stopped: for every task there is a try that fits")
-    figures = {"train": summary(file.train), "test": summary(file.test)}
-    told = [argument for argument in sys.argv[1:] if not argument.startswith("out=")]
-    origin = provenance(
-        command=shlex.join(["python", "-m", "emrld_jax.make_demos", *told]),
-        seed=config.seed,
-        **software(),
-        figures=figures,
-    )
-    file = replace(file, provenance=origin)
-    check_tasks(file, env)
-    save(out, file, env)
-    for split, values in figures.items():
-        console.print(f"{split}: " + ", ".join(f"{k} {v}" for k, v in values.items()))
-    console.print(f"wrote {out}")
+        return make_demos(config.env, config.quality, config.seed, training, report, kept.restore)
 
 
 def chosen_training(config: MakeDemosConfig) -> Training:

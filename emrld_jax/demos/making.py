@@ -11,7 +11,7 @@ import jax.numpy as jnp
 
 from emrld_jax.demos.archive import DemoError
 from emrld_jax.demos.claims import Played
-from emrld_jax.demos.expert import Expert, expert
+from emrld_jax.demos.expert import Expert, ExpertState, expert
 from emrld_jax.demos.format import DemoFile, DemoSet
 from emrld_jax.demos.quality import check_quality, first_that_fits, has_quality
 from emrld_jax.demos.replay import replay
@@ -19,7 +19,16 @@ from emrld_jax.meta.outer import Metrics
 from emrld_jax.types import Task
 from envs_jax import Env, make
 
-Report = Callable[[str, int, Metrics], None]  # (reward, iteration, metrics)
+
+class Standing(NamedTuple):
+    """Where the training of an expert stands; all that its rest depends on, but for the keys."""
+
+    state: ExpertState
+    iteration: int  # iterations done, on both rewards together
+
+
+Report = Callable[[str, Standing, Metrics], None]  # (reward, where it stands now, metrics)
+Restore = Callable[[Standing], Standing]  # (the start) -> where a training goes on
 
 
 class Training(NamedTuple):
@@ -41,7 +50,14 @@ def default_training(name: str) -> Training:
     return TRAININGS.get(name, Training(60, 20))
 
 
-def make_demos(name: str, quality: str, seed: int, training: Training, report: Report) -> DemoFile:
+def make_demos(
+    name: str,
+    quality: str,
+    seed: int,
+    training: Training,
+    report: Report,
+    restore: Restore,
+) -> DemoFile:
     """Trains an expert for all tasks of an environment and takes one trajectory a task from it.
 
     Args:
@@ -50,7 +66,8 @@ def make_demos(name: str, quality: str, seed: int, training: Training, report: R
             expert that stopped training early, cut off before they achieve anything.
         seed: of all random numbers.
         training: how long the expert trains.
-        report: told after each iteration.
+        report: told after each iteration; what it raises ends the training.
+        restore: where to go on; if with a training that was stopped, all is as if it was not.
 
     Raises:
         DemoError: the demonstrations have not the quality that they claim.
@@ -60,7 +77,7 @@ def make_demos(name: str, quality: str, seed: int, training: Training, report: R
     tasks = jax.tree.map(lambda a, b: jnp.concatenate([a, b]), train, test)
     train_key, play_key = jax.random.split(jax.random.key(seed))
     played_by = after_training if training.sparse_iterations else once_it_fits
-    played = played_by(name, quality, tasks, train_key, play_key, training, report)
+    played = played_by(name, quality, tasks, train_key, play_key, training, report, restore)
     check_quality(env, quality, played)
     return _as_file(env, quality, train, test, played)
 
@@ -73,19 +90,21 @@ def after_training(
     play_key: jax.Array,
     training: Training,
     report: Report,
+    restore: Restore,
 ) -> Played:
     """Trajectories, [M, ..], of an expert trained on the dense and then on the sparse reward."""
     dense, sparse = (
         training.make_expert(make(name, reward=reward)) for reward in ("dense", "sparse")
     )
     init_key, dense_key, sparse_key = jax.random.split(train_key, 3)
-    state = dense.init(init_key)
-    for i in range(training.dense_iterations):
+    state, done = restore(Standing(dense.init(init_key), 0))
+    first = training.dense_iterations
+    for i in range(done, first):
         state, metrics = dense.update(state, jax.random.fold_in(dense_key, i), tasks)
-        report("dense", i + 1, metrics)
-    for i in range(training.sparse_iterations):
-        state, metrics = sparse.update(state, jax.random.fold_in(sparse_key, i), tasks)
-        report("sparse", i + 1, metrics)
+        report("dense", Standing(state, i + 1), metrics)
+    for i in range(max(done, first), first + training.sparse_iterations):
+        state, metrics = sparse.update(state, jax.random.fold_in(sparse_key, i - first), tasks)
+        report("sparse", Standing(state, i + 1), metrics)
     return first_that_fits(name, quality, sparse.policy, state.policy, play_key, tasks)
 
 
@@ -97,23 +116,23 @@ def once_it_fits(
     play_key: jax.Array,
     training: Training,
     report: Report,
+    restore: Restore,
 ) -> Played:
     """Trajectories, [M, ..], of an expert that stops when every task has one that fits."""
     env = make(name)
     learner = training.make_expert(make(name, reward="dense"))
     init_key, dense_key = jax.random.split(train_key)
-    state = learner.init(init_key)
-    for i in range(training.dense_iterations):
-        last = i + 1 == training.dense_iterations
-        state, metrics = learner.update(state, jax.random.fold_in(dense_key, i), tasks)
-        report("dense", i + 1, metrics)
-        if (i + 1) % training.try_every and not last:
-            continue
-        # with the same noise each time: only the expert's progress decides when it is good enough
-        played = first_that_fits(name, quality, learner.policy, state.policy, play_key, tasks)
-        if bool(has_quality(env, quality, played).all()):
-            break
-    return played
+    state, done = restore(Standing(learner.init(init_key), 0))
+    while True:
+        last = done == training.dense_iterations
+        if done and (last or done % training.try_every == 0):
+            # with the same noise each time: only the expert's progress decides when it is good
+            played = first_that_fits(name, quality, learner.policy, state.policy, play_key, tasks)
+            if last or bool(has_quality(env, quality, played).all()):
+                return played
+        state, metrics = learner.update(state, jax.random.fold_in(dense_key, done), tasks)
+        done += 1
+        report("dense", Standing(state, done), metrics)
 
 
 def _as_file(env: Env, quality: str, train: Task, test: Task, played: Played) -> DemoFile:

@@ -2,6 +2,10 @@
 
 from __future__ import annotations
 
+import signal
+import subprocess
+import sys
+import time
 from pathlib import Path
 
 import jax
@@ -62,15 +66,26 @@ def test_the_error_names_the_task_at_fault():
         check_quality(env, "optimal", episodes)
 
 
-def test_the_command_makes_suboptimal_demonstrations(command: Command, tmp_path: Path):
-    out = tmp_path / "demos.npz"
-    done = command("make_demos", f"out={out}", "env=point2d", "quality=suboptimal", "seed=5")
+CHOSEN = ("env=point2d", "quality=suboptimal", "seed=5")
+
+
+@pytest.fixture(scope="module")
+def suboptimal(command: Command, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A file that the command has made."""
+    out = tmp_path_factory.mktemp("made") / "demos.npz"
+    done = command("make_demos", f"out={out}", *CHOSEN)
     assert done.returncode == 0, done.stderr
+    assert list(out.parent.iterdir()) == [out]
+    return out
+
+
+def test_the_command_makes_suboptimal_demonstrations(command: Command, suboptimal: Path):
     env = envs_jax.make("point2d")
-    file = demos.load(out, env)
+    file = demos.load(suboptimal, env)
     demos.check_tasks(file, env)
     assert file.provenance["seed"] == 5
     assert "make_demos" in file.provenance["command"]
+    assert file.provenance["began"] == file.provenance["code"]
     for part in (file.train, file.test):
         length = np.asarray(part.demos.mask.sum(axis=1)).astype(int)
         rows = np.arange(len(length))
@@ -80,9 +95,52 @@ def test_the_command_makes_suboptimal_demonstrations(command: Command, tmp_path:
         assert (away >= 0.1 - 1e-5).all()
         assert (away <= 0.4).all()
         assert not np.asarray(part.success).any()
-    again = command("make_demos", f"out={out}", "env=point2d", "quality=suboptimal")
+    again = command("make_demos", f"out={suboptimal}", "env=point2d", "quality=suboptimal")
     assert again.returncode == 2
-    assert f"{out} exists" in again.stderr
+    assert f"{suboptimal} exists" in again.stderr
+
+
+def test_the_command_goes_on_after_a_signal_and_a_kill(
+    command: Command, environment: dict[str, str], suboptimal: Path, tmp_path: Path
+):
+    out = tmp_path / "demos.npz"
+    checkpoint = tmp_path / "demos.npz.training" / "checkpoints" / "5"
+    command_line = [sys.executable, "-m", "emrld_jax.make_demos", f"out={out}", *CHOSEN]
+
+    def start() -> subprocess.Popen[str]:
+        return subprocess.Popen(
+            command_line,
+            env=environment,
+            stdout=subprocess.PIPE,
+            stderr=subprocess.STDOUT,
+            text=True,
+        )
+
+    stopped = start()
+    assert stopped.stdout is not None
+    while "iteration 1/" not in stopped.stdout.readline():
+        assert stopped.poll() is None
+    stopped.send_signal(signal.SIGTERM)
+    printed, _ = stopped.communicate(timeout=60)
+    assert stopped.returncode == 128 + signal.SIGTERM
+    assert "stopped; the same command goes on where it was" in printed
+    killed = start()
+    while not checkpoint.is_dir():
+        assert killed.poll() is None
+        time.sleep(0.001)
+    killed.kill()
+    printed, _ = killed.communicate(timeout=60)
+    assert "continuing a training after iteration " in printed
+    assert not out.exists()
+    done = command("make_demos", f"out={out}", *CHOSEN)
+    assert done.returncode == 0, done.stderr
+    assert "continuing a training after iteration 5" in done.stdout
+    assert "iteration 6/" in done.stdout
+    env = envs_jax.make("point2d")
+    for split in ("train", "test"):
+        ours, theirs = (getattr(demos.load(path, env), split) for path in (out, suboptimal))
+        jax.tree.map(np.testing.assert_array_equal, ours, theirs)
+    assert list(tmp_path.iterdir()) == [out]
 
 
 def test_an_expert_that_trained_too_little_is_refused(command: Command, tmp_path: Path):
@@ -93,7 +151,7 @@ def test_an_expert_that_trained_too_little_is_refused(command: Command, tmp_path
     assert done.returncode == 2
     assert "are not optimal" in done.stderr
     assert "Traceback" not in done.stderr
-    assert not out.exists()
+    assert not list(tmp_path.iterdir())
 
 
 def runs(direction: float, velocity: float, steps: int, torque: float = 0.0) -> Played:
