@@ -76,11 +76,14 @@ def limits_of(
     """The smaller of a policy's limits and a robot's.
 
     Args:
-        low, high: what the policy may ask for: linear (m/s) and angular (rad/s) velocity.
+        low: the least that the policy may ask for: linear (m/s) and angular (rad/s) velocity.
+        high: the most.
         injected: rad/s that are added to the policy's angular velocity. They stand for what the
             robot does by itself, so the policy's window moves with them; the robot's does not.
-        max_linear, max_angular: of the robot, m/s and rad/s.
-        linear_acceleration, angular_acceleration: m/s^2 and rad/s^2.
+        max_linear: of the robot, m/s.
+        max_angular: of the robot, rad/s.
+        linear_acceleration: m/s^2.
+        angular_acceleration: rad/s^2.
 
     Raises:
         BridgeError: nothing is within both.

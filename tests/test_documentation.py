@@ -41,6 +41,17 @@ def test_the_example_of_the_simulator(capsys: pytest.CaptureFixture[str]) -> Non
     assert float(x[1]) == pytest.approx(0.3, abs=0.01)
 
 
+def test_the_example_of_the_robot(capsys: pytest.CaptureFixture[str]) -> None:
+    exec(example("docs/bridge/robot.md"), {})
+    lines = capsys.readouterr().out.splitlines()
+    assert len(lines) == 4
+    assert all("linear=0.2" in line for line in lines[1:])
+    # three periods of 0.2 m/s and 0.5 rad/s: an arc of 0.4 m radius, less the way to full speed
+    x, y, theta = (float(number) for number in lines[3].split("[")[1].split("]")[0].split())
+    assert theta == pytest.approx(0.75, abs=0.03)
+    assert (x, y) == pytest.approx((0.4 * 0.68, 0.4 * 0.27), abs=0.02)
+
+
 def test_the_example_of_parts_without_configuration() -> None:
     names: dict = {}
     exec(example("docs/guides/python.md"), names)

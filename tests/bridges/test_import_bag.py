@@ -132,7 +132,7 @@ def test_a_drive_becomes_a_demonstration(
     assert bool(file.train.success[0])
     assert float(file.train.returns[0]) > 100 - 18
     assert file.quality == "teleoperated"
-    assert "longest gap 0.04 s, 0 above 0.5 s" in said
+    assert "longest gap 0.03 s, 0 above 0.5 s" in said
     assert "task: goal=[" in said
     assert "all within the environment's bounds" in said
     assert "as driven: return" in said
