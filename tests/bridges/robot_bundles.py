@@ -23,10 +23,15 @@ HALF = float(np.log(0.5))
 
 
 def constant(
-    action: tuple[float, float], log_std: float = HALF, name: str = "two_wheeled", task: int = 0
+    action: tuple[float, float],
+    log_std: float = HALF,
+    name: str = "two_wheeled",
+    task: int = 0,
+    **adapt: Any,
 ) -> Bundle:
     """Always the same mean action, in policy units; of two_wheeled's task 0 the goal is ahead."""
-    settings = Settings(policy=PolicySettings(hidden_sizes=[]))
+    policy = PolicySettings(hidden_sizes=[])
+    settings = Settings(policy=policy, adapt=AdaptSettings(**adapt))
     params = {"layer_0": {"kernel": np.zeros((3, 2)), "bias": np.array(action)}}
     return _bundle(
         envs_jax.make(name), task, "emrld", settings, {"params": params}, np.full(2, log_std)

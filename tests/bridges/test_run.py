@@ -8,6 +8,7 @@ import signal
 import subprocess
 import sys
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -15,6 +16,7 @@ import numpy as np
 import pytest
 
 from bridges import bundle, modes, run
+from bridges.bundle import Stage
 from bridges.messages import STOP, BridgeError
 from bridges.policy import Policy
 from bridges.recording import read
@@ -124,9 +126,9 @@ def test_parts_of_the_loop_one_by_one(
     main: Run, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     out = tmp_path / "out"
-    assert main(mode="collect", episodes=1) == 0
+    assert main(mode="collect", episodes=2) == 0
     assert main(mode="adapt") == 0
-    assert "adapted to 1 episodes" in capsys.readouterr().out
+    assert "adapted to 2 episodes" in capsys.readouterr().out
     adapted = out / "adapted.safetensors"
     assert main(mode="execute", episodes=1, bundle=adapted, deterministic="false") == 0
     assert read(out / "execution").header.noise
@@ -325,3 +327,52 @@ def test_an_index_that_lies_is_found_out(main: Run, tmp_path: Path) -> None:
     index.write_text(index.read_text().replace('"noise": true', '"noise": false'))
     with pytest.raises(BridgeError, match="is of another recording"):
         main(mode="adapt")
+
+
+def test_a_robots_computer_needs_neither_jax_nor_matplotlib(main: Run, tmp_path: Path) -> None:
+    code = (
+        "import sys\n"
+        "missing = ('jax', 'flax', 'matplotlib', 'omegaconf', 'hydra')\n"
+        "sys.modules.update(dict.fromkeys(missing))\n"
+        "from bridges import run\n"
+        "print(run.main())\n"
+        "sys.argv[1:] = [x for x in sys.argv[1:] if 'mode' not in x] + ['mode=adapt']\n"
+        "run.run_command(run.main)"
+    )
+    given = (f"bundle={tmp_path}/policy.safetensors", f"out={tmp_path}/out", "robot=memory")
+    done = subprocess.run(
+        [sys.executable, "-c", code, *given, "mode=collect", "episodes=1"],
+        env={**os.environ, "PYTHONPATH": str(ROOT)},
+        capture_output=True,
+        text=True,
+        timeout=60,
+        check=False,
+    )
+
+    assert "no picture, for matplotlib is missing\n0\n" in done.stdout
+    assert done.returncode == 2
+    assert done.stderr.startswith("error: adapting needs JAX")
+
+
+def test_a_bundle_that_is_adapted_already_is_only_executed(main: Run, tmp_path: Path) -> None:
+    bundle.write(tmp_path / "adapted.safetensors", replace(AHEAD, stage=Stage(0, True)))
+    assert main(bundle=tmp_path / "adapted.safetensors", episodes=1) == 0
+
+    summary = json.loads((tmp_path / "out" / "summary.json").read_text())
+    assert list(summary["recordings"]) == ["execution"]
+
+
+def test_every_inner_step_has_a_recording_of_its_own(main: Run, tmp_path: Path) -> None:
+    policy = robot_bundles.constant((0.9, 0.0), log_std=-4.0, num_steps=2)
+    bundle.write(tmp_path / "policy.safetensors", policy)
+    assert main(episodes=2) == 0
+
+    out = tmp_path / "out"
+    between = bundle.read(out / "policy_1.safetensors")
+    made = bundle.read(out / "adapted.safetensors")
+    assert (between.stage, made.stage) == ((1, False), (2, True))
+    hashes = [
+        read(out / name).header.bundle for name in ("recording_0", "recording_1", "execution")
+    ]
+    assert hashes == [one.content_sha256 for one in (policy, between, made)]
+    assert main(episodes=2) == 0  # finds all of it
