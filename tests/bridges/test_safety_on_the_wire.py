@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import signal
 from collections.abc import Callable, Iterator
-from functools import partial
 from pathlib import Path
 
 import pytest
@@ -79,10 +78,17 @@ def test_whatever_ends_the_bridge_stops_the_robot(worlds: Worlds) -> None:
     for what, (policy, _) in policies.items():
         world = worlds()
         sides[what] = world, world.simulator("command_timeout=null"), world.bridge(policy=policy)
-    for what, (_, simulator, bridge) in sides.items():
-        if isinstance(what, int):
-            until(partial(drives, simulator), "the robot drove")
-            bridge.signal(what)
+    driving = {what for what in sides if isinstance(what, int)}
+
+    def signaled() -> bool:
+        """Each as soon as it drives: one that is late must not find its episode over."""
+        for number in list(driving):
+            if drives(sides[number][1]):
+                sides[number][2].signal(number)
+                driving.remove(number)
+        return not driving
+
+    until(signaled, "the robots drove")
 
     for what, (_, simulator, bridge) in sides.items():
         ended(bridge, policies[what][1])
@@ -100,10 +106,16 @@ def test_kills(worlds: Worlds) -> None:
     robot, lonely = first.simulator(), first.bridge()
     near = robot_bundles.in_arena(0.7)  # an episode that is over soon
     left, bridge = second.simulator(), second.bridge(policy=near)
-    until(lambda: drives(robot), "the robot drove")
-    robot.signal(signal.SIGKILL)
-    until(lambda: drives(left), "the robot drove")
-    bridge.signal(signal.SIGKILL)
+    victims = {"robot": (robot, robot), "bridge": (left, bridge)}
+
+    def killed() -> bool:
+        for name, (simulator, process) in list(victims.items()):
+            if drives(simulator):
+                process.signal(signal.SIGKILL)
+                del victims[name]
+        return not victims
+
+    until(killed, "the robots drove")
 
     # the robot is killed: DDS takes it for connected for seconds more, the watchdog does not
     ended(lonely, 2)

@@ -127,7 +127,7 @@ def until(holds: Callable[[], Any], what: str) -> None:
 
 
 def drives(simulator: Process) -> bool:
-    return any(seen.linear > 0.1 and seen.x > 0.2 for seen in simulator.seen()[-1:])
+    return any(seen.linear > 0.1 and seen.x > 0.2 for seen in simulator.seen())
 
 
 def stands(simulator: Process) -> None:
