@@ -63,7 +63,7 @@ REFUSED = [
     ("distributed.process_id=1", ["process_id=1", "below distributed.num_processes=1"]),
     ("distributed.coordinator=here:1", ["num_processes=1", "distributed.coordinator=null"]),
     ("resume=/nowhere", ["/nowhere", "no such run folder"]),
-    ("resume=/proc", ["/proc", "not a run folder"]),
+    ("resume=/etc/ssl", ["/etc/ssl", "not a run folder"]),
 ]
 
 

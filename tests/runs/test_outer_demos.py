@@ -136,6 +136,6 @@ def test_an_evaluation_needs_them_no_more(
     save_config(new.config, folder.config)
     halves.unlink()
     monkeypatch.setattr(evaluate_run, "_demonstrations", lambda config, setup: setup)
-    monkeypatch.setattr(evaluate_run, "_tell_of_other_demonstrations", lambda *_: None)
+    monkeypatch.setattr(evaluate_run, "other_demonstrations", lambda *_: "")
     with pytest.raises(ConfigError, match="has no checkpoint yet"):  # so far it comes
         evaluate_run.evaluate_run(evaluate_config([f"run={folder.path}"]), Console(quiet=True))
