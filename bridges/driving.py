@@ -109,10 +109,12 @@ class Drive:
     def _to_the_end(self, interrupted: Callable[[], str | None], watch: Watch) -> Fault:
         moment, obs = self._began, self._robot.get_observation()
         for _ in range(self._zone.horizon):
+            if reason := interrupted():  # before it moves: `hold` asks only after it has begun to
+                return Fault("interrupted", reason)
             try:
                 step = self._step(obs, moment)
             except RobotFault as error:
-                return error.fault
+                return self._left() if error.fault.reason == ARENA else error.fault
             if step.latency > self._late:
                 self._missed += 1
                 moment = step.time  # each step lasts its period
@@ -127,6 +129,13 @@ class Drive:
             if done:
                 return Fault(SUCCESS if self._steps[-1].success else ARENA, "")
         return Fault(HORIZON, "")
+
+    def _left(self) -> Fault:
+        """The arena was left after a step had been judged, before the next action: by that step."""
+        self._last = self._robot.get_observation().pose
+        if self._steps:
+            self._steps[-1] = self._steps[-1]._replace(done=True)
+        return Fault(ARENA, "")
 
     def _step(self, obs: Observation, due: float) -> Step:
         """Acts; what it leads to is not known yet."""

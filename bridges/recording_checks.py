@@ -78,6 +78,8 @@ def problem_of(episode: Episode, horizon: int) -> str | None:
     last = steps[-1] if steps else None
     ends = (last is not None and last.done, last is not None and last.success)
     expected = {SUCCESS: (True, True), ARENA: (True, False)}.get(episode.ending, (False, False))
+    if last is None and episode.ending == ARENA:
+        expected = (False, False)  # it was outside before it could act
     if ends != expected or (episode.ending == HORIZON and len(steps) != horizon):
         return f"its last step does not end in {episode.ending!r}"
     return None

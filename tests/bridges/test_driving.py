@@ -15,6 +15,7 @@ from bridges.driving import Act, Actor, Drive, actor, log_prob
 from bridges.episodes import Episode
 from bridges.messages import STOP
 from bridges.policy import Policy
+from bridges.recording_checks import problem_of
 from bridges.robot import TurtleBot3
 from bridges.safety import limits_of
 from emrld_jax import policy as jax_policy
@@ -91,6 +92,49 @@ def test_leaving_the_arena_ends_an_episode_at_once() -> None:
     assert episode.steps[-1].reward == 0
     last = max(when for when, command in fake.received if command != STOP)
     assert last - episode.began < 11.46
+
+
+def test_an_arena_that_is_left_before_the_next_action_was_left_by_the_step_before() -> None:
+    turned = robot_bundles.constant((1.0, 0.0), task=12)
+    fake, act = FakeRobot(), steered(turned)
+
+    def slow(obs: np.ndarray) -> Act:
+        if obs[0] > 2.4:  # it drives on, to 2.51 m
+            fake.clock.sleep_until(fake.clock.now() + 0.48)
+        return act(obs)
+
+    episode = driven(fake, slow, turned, geofence=2.5)
+
+    assert (episode.ending, len(episode.steps)) == ("arena", 22)
+    assert (episode.steps[-1].done, episode.steps[-1].success) == (True, False)
+    assert episode.last_pose[0] > 2.5
+    assert problem_of(episode, 100) is None
+    assert [command for _, command in fake.received[-5:]] == [STOP] * 5
+
+
+def test_a_robot_that_is_outside_before_it_acts_is_no_whole_episode() -> None:
+    fake, act = FakeRobot(), steered(AHEAD)
+
+    def pushed(obs: np.ndarray) -> Act:
+        for _ in range(10):  # by hand, and slowly enough for odometry to be believed
+            fake.pose = (fake.pose[0] + 0.05, 0.0, 0.0)
+            fake.clock.sleep_until(fake.clock.now() + 0.1)
+        return act(obs)
+
+    episode = driven(fake, pushed, geofence=0.3)
+
+    assert (episode.ending, episode.steps, episode.whole) == ("arena", (), False)
+    assert problem_of(episode, 100) is None
+    assert {command for _, command in fake.received} == {STOP}
+
+
+def test_whoever_interrupts_before_the_first_action_keeps_the_robot_from_moving() -> None:
+    fake = FakeRobot()
+
+    episode = driven(fake, steered(AHEAD), interrupted=lambda: "SIGINT")
+
+    assert (episode.ending, episode.steps) == ("interrupted", ())
+    assert {command for _, command in fake.received} == {STOP}
 
 
 @pytest.mark.parametrize("reason", ["stale", "jump", "interrupted"])
