@@ -199,14 +199,17 @@ class TurtleBot3Env(gymnasium.Env[np.ndarray, np.ndarray]):
     def _step(self, action: np.ndarray) -> tuple[np.ndarray, float, bool, bool, dict[str, Any]]:
         began = self._clock.now()
         late = 0.0 if self._due is None else max(0.0, began - self._due)
+        sent = STOP
+        fault: Fault | None = None
         try:
             self._driven = True
             sent = self._robot.send_action(action)
         except RobotFault as error:
-            return self._broken(error.fault, late)
-        start = began if self._due is None or late > LATE else self._due
-        self._due = start + self._ground.control_period
-        fault = self._robot.hold(self._due)
+            fault = error.fault
+        else:
+            start = began if self._due is None or late > LATE else self._due
+            self._due = start + self._ground.control_period
+            fault = self._robot.hold(self._due)
         if fault is not None and fault.reason != ARENA:
             return self._broken(fault, late, sent)
         obs = self._robot.get_observation()

@@ -123,6 +123,21 @@ def test_leaving_the_arena_terminates() -> None:
     assert (reward, truncated, info["success"]) == (0.0, False, False)
 
 
+def test_leaving_the_arena_between_two_steps_terminates() -> None:
+    env = made(goal=(-2.0, 0.0), horizon=60)
+    obs, _ = env.reset()
+    while obs[0] < 2.44:
+        obs, *_, info = env.step(AHEAD)
+    clock = env.unwrapped._clock
+    clock.sleep_until(clock.now() + 0.45)  # it drives on meanwhile
+    obs, _, terminated, truncated, info = env.step(AHEAD)
+
+    assert 2.5 < obs[0] < 2.6
+    assert (terminated, truncated, info["fault"]) == (True, False, "")
+    np.testing.assert_array_equal(info["sent"], [0, 0])
+    assert commands(env)[-1] == STOP
+
+
 @pytest.mark.parametrize(
     ("fault", "words"), [("nan", "not finite"), ("silent", "stale"), ("jump", "jump")]
 )
