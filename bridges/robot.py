@@ -14,7 +14,7 @@ from bridges.clock import Clock
 from bridges.messages import STOP, BridgeError, Command, Odometry
 from bridges.safety import Fault, Limits, RobotFault, wrapped
 from bridges.tracking import Guard, Tracker, check_clocks
-from bridges.transports.base import RobotLink, TransportError
+from bridges.transports.base import RobotLink
 
 STOPS = 5  # zero velocities that are sent to stop: some may get lost
 BETWEEN_STOPS = 0.02  # s
@@ -182,11 +182,11 @@ class TurtleBot3(AbstractContextManager):
         """Sends zero velocity, several times.
 
         Raises:
-            TransportError: the last one could not be sent.
+            Exception: the last one could not be sent, whatever has kept it from being sent.
         """
         self._target = STOP
         for left in reversed(range(STOPS)):
-            with suppress(*(TransportError,) * bool(left)):
+            with suppress(*(Exception,) * bool(left)):
                 self._publish(STOP)
             self._clock.sleep_until(self._clock.now() + BETWEEN_STOPS)
 
@@ -220,9 +220,11 @@ class TurtleBot3(AbstractContextManager):
         self._connected = False
         try:
             self.stop()
-            self._come_to_rest()
         finally:
-            self._link.close()
+            try:
+                self._come_to_rest()
+            finally:
+                self._link.close()
 
     def _await_odometry(self) -> Odometry:
         self._take()
@@ -252,7 +254,8 @@ class TurtleBot3(AbstractContextManager):
                 speeds = (newest.linear, newest.angular)
                 if all(abs(x) < most for x, most in zip(speeds, AT_REST, strict=True)):
                     return
-            self._publish(STOP)
+            with suppress(Exception):  # it may go through a moment later
+                self._publish(STOP)
 
     def _listen(self, until: float) -> None:
         """Takes odometry up to a moment."""

@@ -194,19 +194,40 @@ def test_leaving_waits_until_the_robot_is_seen_to_stand() -> None:
     assert fake.clock.now() < lost + 0.2
 
 
-def test_commands_that_cannot_be_sent_keep_nobody_from_trying_again() -> None:
+@pytest.mark.parametrize("error", [TransportError, RuntimeError])
+def test_commands_that_cannot_be_sent_keep_nobody_from_trying_again(error: type) -> None:
     fake = FakeRobot()
     robot = connected(fake)
     tries: list[Command] = []
 
     def fails(command: Command) -> None:
         tries.append(command)
-        raise TransportError("no network")
+        raise error("no network")
+
+    fake.send = fails  # type: ignore[method-assign]
+    with pytest.raises(error, match="no network"):
+        robot.stop()
+    assert tries == [STOP] * STOPS
+
+
+def test_leaving_goes_on_trying_where_commands_cannot_be_sent_for_a_while() -> None:
+    fake = FakeRobot()
+    robot = connected(fake)
+    robot.send_action((0.1, 0.0))
+    send, back = fake.send, fake.clock.now() + 0.4
+
+    def fails(command: Command) -> None:
+        if fake.clock.now() < back:
+            raise TransportError("no network")
+        send(command)
 
     fake.send = fails  # type: ignore[method-assign]
     with pytest.raises(TransportError, match="no network"):
-        robot.stop()
-    assert tries == [STOP] * STOPS
+        robot.disconnect()
+
+    assert fake.received[-1][1] == STOP
+    assert fake.received[-1][0] == pytest.approx(back, abs=0.1)
+    assert fake.closed == 1
 
 
 def test_an_exception_stops_the_robot() -> None:
