@@ -88,7 +88,7 @@ class RosLink(ReceivingLink):
             fill_twist(message.twist, command)
         else:
             fill_twist(message, command)
-        self._commands.publish(message)
+        _publish(self._commands, message)
 
     def request_reset(self) -> None:
         """Asks a simulated robot to go back to its start; see RobotLink."""
@@ -97,7 +97,7 @@ class RosLink(ReceivingLink):
         if not until(lambda: listeners() > 0, time.monotonic() + _MATCHING):
             name = names.topic(self._settings, names.RESET)
             raise TransportError(f"nobody listens at {name}: only simulated robots can be reset")
-        self._reset.publish(Empty())
+        _publish(self._reset, Empty())
 
     def close(self) -> None:
         """Disconnects; may be called twice."""
@@ -148,7 +148,7 @@ class RosEnd(ReceivingEnd):
             raise TransportError("the simulated robot's end is not open")
         message = OdometryMessage()
         fill_odometry(message, odometry, covariance)
-        self._odometry.publish(message)
+        _publish(self._odometry, message)
 
     def close(self) -> None:
         """Disconnects; may be called twice."""
@@ -170,6 +170,18 @@ class RosEnd(ReceivingEnd):
     def _serve_reset(self, request: Any, response: Any) -> Any:
         self.put_reset()
         return response
+
+
+def _publish(publisher: Any, message: Any) -> None:
+    """Sends a message.
+
+    Raises:
+        TransportError: the middleware refuses it.
+    """
+    try:
+        publisher.publish(message)
+    except Exception as error:  # RCLError is of a private module; InvalidHandle, ..
+        raise TransportError(f"a message could not be sent: {error}") from error
 
 
 class _Session:

@@ -128,6 +128,27 @@ def test_a_robot_that_cannot_be_reset_is_told(ros: rclpy_stand_in.Ros) -> None:
     robot.close()
 
 
+def test_what_the_middleware_does_not_send_is_told(
+    ros: rclpy_stand_in.Ros, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    link, robot = ends()
+    link.open()
+
+    def fail(*_: Any) -> None:
+        raise RuntimeError("Failed to publish")  # what rclpy's RCLError is
+
+    monkeypatch.setattr(rclpy_stand_in.Publisher, "publish", fail)
+    for send in (
+        lambda: link.send(Command(0.1, 0.0)),
+        link.request_reset,
+        lambda: robot.publish(Odometry(1.0, 1.0, 0.0, 0.0, 0.0, 0.0, 0.0), (1, 1, 1)),
+    ):
+        with pytest.raises(TransportError, match="could not be sent: Failed to publish"):
+            send()
+    link.close()
+    robot.close()
+
+
 def test_what_only_dds_has_is_refused(ros: rclpy_stand_in.Ros) -> None:
     for settings in (LinkSettings(peers=["10.0.0.1"]), LinkSettings(interface="wlan0")):
         with pytest.raises(TransportError, match="are for robot=dds"):
