@@ -14,9 +14,9 @@ NAMES = ("auto", "rclpy", "dds", "memory")
 _WHERE = {"rclpy": ("ros", "Ros"), "dds": ("dds", "Dds"), "memory": ("memory", "Memory")}
 _MISSING = {
     "rclpy": (
-        "robot=rclpy needs ROS 2 with nav_msgs, geometry_msgs and std_srvs: source its setup first"
-        " (such as `. /opt/ros/jazzy/setup.bash`) and use its Python's version; without ROS there"
-        " is robot=dds"
+        "robot=rclpy needs ROS 2 with nav_msgs and geometry_msgs: source its setup first (such as"
+        " `. /opt/ros/jazzy/setup.bash`) and use its Python's version; without ROS there is"
+        " robot=dds"
     ),
     "dds": (
         "robot=dds needs CycloneDDS: pip install 'emrld-jax[dds]' (there are wheels for Linux on"

@@ -18,7 +18,6 @@ from rclpy.node import Node
 from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPolicy
 from rclpy.signals import SignalHandlerOptions
 from std_msgs.msg import Empty
-from std_srvs.srv import Empty as EmptyService
 
 from bridges.clock import RealClock
 from bridges.messages import TWIST, TWIST_STAMPED, Command, Odometry
@@ -28,7 +27,7 @@ from bridges.transports.base import LinkSettings, TransportError
 from bridges.transports.discovery import Seen, find_robot, until
 from bridges.transports.receiving import ReceivingEnd, ReceivingLink
 
-RESET_SERVICE = "reset_simulation"  # std_srvs/Empty, of a simulated robot's end
+RESET_SERVICE = "reset_simulation"  # std_srvs/srv/Empty, of a simulated robot
 _ODOMETRY = "nav_msgs/msg/Odometry"
 _TYPES = {TWIST: Twist, TWIST_STAMPED: TwistStamped}
 _QOS = QoSProfile(
@@ -113,7 +112,7 @@ class RosLink(ReceivingLink):
 class RosEnd(ReceivingEnd):
     """A RobotEnd through rclpy, as the node `emrld_sim_turtlebot`.
 
-    It can be reset by the service `reset_simulation`, too.
+    Where std_srvs is installed it can be reset by the service `reset_simulation`, too.
     """
 
     def __init__(self, settings: LinkSettings, clock: RealClock) -> None:
@@ -135,7 +134,7 @@ class RosEnd(ReceivingEnd):
             node = session.node
             self._odometry = node.create_publisher(OdometryMessage, names.ODOMETRY, _QOS)
             node.create_subscription(Empty, names.RESET, self._take_reset, _QOS)
-            node.create_service(EmptyService, RESET_SERVICE, self._serve_reset)
+            self._offer_reset(node)
             node.create_subscription(_TYPES[kind], names.COMMANDS, take, _QOS)
             session.start()
         except BaseException:
@@ -166,6 +165,13 @@ class RosEnd(ReceivingEnd):
 
     def _take_reset(self, message: Any) -> None:
         self.put_reset()
+
+    def _offer_reset(self, node: Any) -> None:
+        """The service, where its type is installed: neither rclpy nor the messages need it."""
+        with suppress(ImportError):
+            from std_srvs.srv import Empty as EmptyService  # noqa: PLC0415
+
+            node.create_service(EmptyService, RESET_SERVICE, self._serve_reset)
 
     def _serve_reset(self, request: Any, response: Any) -> Any:
         self.put_reset()

@@ -105,6 +105,20 @@ def test_a_robot_is_reset_by_message_and_by_service(ros: rclpy_stand_in.Ros) -> 
     robot.close()
 
 
+def test_a_robot_is_reset_by_message_where_there_are_no_services_types(
+    ros: rclpy_stand_in.Ros, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setitem(sys.modules, "std_srvs.srv", None)
+    link, robot = ends()
+    assert ros.nodes[0].services == {}
+    link.open()
+    link.request_reset()
+    assert robot.wait(LIMIT)
+    assert robot.take_resets() == 1
+    link.close()
+    robot.close()
+
+
 def test_nobody_and_another_type_are_told(ros: rclpy_stand_in.Ros) -> None:
     _, robot = ends(command_type="twist")
     for settings, words in (
