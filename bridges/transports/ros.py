@@ -38,6 +38,7 @@ _QOS = QoSProfile(
 )
 _MATCHING = 1.0  # s that two ends that know each other may need to match
 _FAREWELL = 0.5  # s for what was sent last to arrive
+_LOOK = 0.1  # s at most between the executor's looks at whether it is to end
 
 
 class RosLink(ReceivingLink):
@@ -255,16 +256,18 @@ class _Session:
             with suppress(Exception):  # not every middleware can; leaving goes on
                 publisher.wait_for_all_acked(Duration(seconds=_FAREWELL))
         self._closing = True
-        self._executor.shutdown()
         if self._thread.is_alive():
             self._thread.join()
+        self._executor.shutdown()
         self.node.destroy_node()
         self._context.try_shutdown()
 
     def _spin(self) -> None:
-        try:
-            self._executor.spin()
-        except Exception:
-            # while it is shut down, its guard conditions vanish under the executor
-            if not self._closing:
-                raise
+        """Serves callbacks.
+
+        Not by `spin`, which ends when another thread shuts the executor down: that takes its guard
+        conditions away while it may be about to wait for them, and then it waits for ever
+        (github.com/ros2/rclpy/issues/968).
+        """
+        while not self._closing:
+            self._executor.spin_once(timeout_sec=_LOOK)

@@ -10,6 +10,7 @@ from __future__ import annotations
 import queue
 import sys
 import threading
+from contextlib import suppress
 from enum import Enum
 from types import ModuleType, SimpleNamespace
 from typing import Any
@@ -90,26 +91,29 @@ class Context:
 
 class Executor:
     def __init__(self, *, context: Context) -> None:
-        self.context, self.work, self.guard = context, queue.Queue[Any](), object()
+        self.context, self.work = context, queue.Queue[Any]()
         self.is_shutdown = False
+        self.thread: threading.Thread | None = None
 
     def add_node(self, node: Node) -> bool:
         node.executor = self
         return True
 
-    def spin(self) -> None:
+    def spin_once(self, timeout_sec: float | None = None) -> None:
+        assert timeout_sec is not None  # else it may wait for ever
+        assert not self.is_shutdown  # else guard conditions may be gone under it
         thread = threading.current_thread()
-        self.context.ros.calls.append(("spin", thread.daemon, thread is threading.main_thread()))
-        while self.context.ok() and not self.is_shutdown:
-            self.work.get()()
-        self.context.ros.calls.append(("spin ends",))
-        # as rclpy's may, when it looks once more at guard conditions that are gone
-        raise AttributeError("'NoneType' object has no attribute 'handle'")
+        call = ("spin", thread.daemon, thread is threading.main_thread())
+        if thread is not self.thread:
+            self.thread = thread
+            self.context.ros.calls.append(call)
+        with suppress(queue.Empty):
+            self.work.get(timeout=timeout_sec)()
 
     def shutdown(self, timeout_sec: float | None = None) -> bool:
         self.context.ros.calls.append(("executor.shutdown",))
+        assert self.thread is None or not self.thread.is_alive()
         self.is_shutdown = True
-        self.work.put(lambda: None)
         return True
 
 

@@ -68,8 +68,8 @@ class RunNode(AbstractContextManager):
 
     def __exit__(self, *_: object) -> None:
         self._closing = True
-        self._executor.shutdown()
         self._thread.join()
+        self._executor.shutdown()
         self._node.destroy_node()
         self._context.try_shutdown()
 
@@ -98,9 +98,6 @@ class RunNode(AbstractContextManager):
         return response
 
     def _spin(self) -> None:
-        try:
-            self._executor.spin()
-        except Exception:
-            # while it is shut down, its guard conditions vanish under the executor
-            if not self._closing:
-                raise
+        """Not by `spin`: see bridges.transports.ros."""
+        while not self._closing:
+            self._executor.spin_once(timeout_sec=0.1)
