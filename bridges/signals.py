@@ -1,4 +1,4 @@
-"""Ctrl-C, SIGTERM and a lost terminal, while a robot drives and while it does not."""
+"""What asks the process to end, while a robot drives and while it does not."""
 
 from __future__ import annotations
 
@@ -9,9 +9,10 @@ from contextlib import AbstractContextManager, contextmanager
 from types import FrameType
 from typing import Any
 
-SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)  # the last: the terminal is gone
-
-
+# Ctrl-C, a request to end, a terminal that is gone, Ctrl-\ and Ctrl-Z. What stops a process, or
+# ends it at once, would leave a robot driving as it was last told. (Windows has the first two.)
+_NAMES = ("SIGINT", "SIGTERM", "SIGHUP", "SIGQUIT", "SIGTSTP")
+SIGNALS = tuple(signal.Signals[name] for name in _NAMES if hasattr(signal, name))
 HANGS = 1.0  # s after a signal in which a loop that does not hang has ended
 
 

@@ -220,7 +220,14 @@ def test_three_episodes_in_a_row_may_not_be_broken_off(
 
 
 @pytest.mark.parametrize(
-    ("number", "code"), [(signal.SIGINT, 130), (signal.SIGTERM, 143), (signal.SIGHUP, 129)]
+    ("number", "code"),
+    [
+        (signal.SIGINT, 130),
+        (signal.SIGTERM, 143),
+        (signal.SIGHUP, 129),
+        (signal.SIGQUIT, 131),
+        (signal.SIGTSTP, 148),  # Ctrl-Z would leave it driving
+    ],
 )
 def test_a_signal_stops_the_robot_and_keeps_what_is_recorded(
     main: Run, fake: FakeRobot, tmp_path: Path, number: int, code: int
