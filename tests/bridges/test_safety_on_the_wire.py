@@ -6,6 +6,7 @@ import signal
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from tests.bridges import robot_bundles
@@ -77,7 +78,9 @@ def test_whatever_ends_the_bridge_stops_the_robot(worlds: Worlds) -> None:
     sides = {}
     for what, (policy, _) in policies.items():
         world = worlds()
-        sides[what] = world, world.simulator("command_timeout=null"), world.bridge(policy=policy)
+        slow = ("max_linear=0.15", "linear_acceleration=0.5") if what == "geofence" else ()
+        bridge = world.bridge(*slow, policy=policy)
+        sides[what] = world, world.simulator("command_timeout=null"), bridge
     driving = {what for what in sides if isinstance(what, int)}
 
     def signaled() -> bool:
@@ -97,8 +100,14 @@ def test_whatever_ends_the_bridge_stops_the_robot(worlds: Worlds) -> None:
         assert [episode.ending for episode in sides[what][0].episodes()] == ["interrupted"]
     assert "not finite" in " ".join(sides["exception"][2].lines)
     assert 0.2 < sides["exception"][1].seen()[-1].x < 0.3 + 0.22 * 2.5
-    assert [episode.ending for episode in sides["geofence"][0].episodes()] == ["arena"]
+    (episode,) = sides["geofence"][0].episodes()
+    assert episode.ending == "arena"
     assert 0.5 < sides["geofence"][1].seen()[-1].x < 0.5 + 0.22 * 2.0
+    # the policy asks for 0.22 m/s; it gets what is allowed, and 0.5 m/s^2 in ticks of 0.05 s
+    told = [command.linear for _, command in episode.commands if command.linear]
+    assert max(told) == pytest.approx(0.15)
+    assert max(np.diff([0.0, *told])) < 0.025 + 1e-6
+    assert max(seen.linear for seen in sides["geofence"][1].seen()) <= 0.15
 
 
 def test_kills(worlds: Worlds) -> None:
