@@ -35,3 +35,25 @@ def whole_run(
     done = command("train", "env=point2d", f"demos={demos}", f"runs={runs}", *TINY)
     assert done.returncode == 0, done.stderr
     return runs / "point2d" / "emrld-lines" / "seed0", done.stdout
+
+
+@pytest.fixture(scope="session")
+def even_demos(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Four training tasks, which two and four devices can share."""
+    return write_demos(tmp_path_factory.mktemp("even") / "lines.npz", num_train=4)
+
+
+@pytest.fixture(scope="session")
+def start(even_demos: Path) -> tuple[str, ...]:
+    return ("env=point2d", f"demos={even_demos}", *TINY)
+
+
+@pytest.fixture(scope="session")
+def alone(
+    command: Command, start: tuple[str, ...], tmp_path_factory: pytest.TempPathFactory
+) -> Path:
+    """A run of seed 0 on one device."""
+    runs = tmp_path_factory.mktemp("alone")
+    done = command("train", *start, f"runs={runs}")
+    assert done.returncode == 0, done.stderr
+    return runs / "point2d" / "emrld-lines" / "seed0"

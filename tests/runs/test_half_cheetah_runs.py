@@ -13,8 +13,8 @@ import pytest
 from emrld_jax.runs.camera import SOFTWARE
 from tests.conftest import Command
 from tests.runs.conftest import TINY
+from tests.runs.curves import assert_same_curve
 from tests.runs.test_run import assert_same_run
-from tests.runs.test_together import assert_same_curve
 
 START = ("env=half_cheetah", *TINY)
 
