@@ -10,8 +10,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from bridges.clock import Clock
+from bridges.clock import Clock, RealClock
 from bridges.messages import STOP, BridgeError, Command, Odometry
+from bridges.minder import Minder
 from bridges.safety import Fault, Limits, RobotFault, wrapped
 from bridges.tracking import Guard, Tracker, check_clocks
 from bridges.transports.base import RobotLink
@@ -61,7 +62,9 @@ class TurtleBot3(AbstractContextManager):
     """A robot to drive; as a context it is connected, and at the end stands still.
 
     All methods are for one thread. Between `send_action` and the next one, call `hold`: it repeats
-    the command and guards the robot, which does not stop by itself if nobody calls.
+    the command and guards the robot. From `send_action` to `stop` a thread of its own sends zero
+    velocity if nothing is called for longer than the guard's watchdog (in real seconds; not in
+    virtual time, where nothing drives on meanwhile). The fault is then "stalled".
 
     Attributes:
         odometry: all that arrived since `begin`.
@@ -77,6 +80,8 @@ class TurtleBot3(AbstractContextManager):
         self._target = self._sent = STOP
         self._sent_at = -math.inf
         self._connected = False
+        patience = rules.guard.watchdog if isinstance(clock, RealClock) else None
+        self._minder = Minder(self._brake, patience)
 
     def __enter__(self) -> TurtleBot3:
         self.connect()
@@ -103,6 +108,7 @@ class TurtleBot3(AbstractContextManager):
             first = self._await_odometry()
             self._listen(first.received + CLOCK_WINDOW)
             check_clocks(first, self._tracker.newest or first, CLOCK_WINDOW)
+            self._minder.start()
         except BaseException:
             self._connected = False
             self._link.close()
@@ -115,6 +121,7 @@ class TurtleBot3(AbstractContextManager):
             BridgeError: there is no odometry.
             RobotFault: there is none that can be trusted, or it is outside the geofence.
         """
+        self.go_on()
         self._target = self._sent = STOP
         self._sent_at = -math.inf
         self._await_odometry()
@@ -123,6 +130,13 @@ class TurtleBot3(AbstractContextManager):
             self._tracker.start_here()
         if fault := self.check():
             raise RobotFault(fault)
+
+    def go_on(self) -> None:
+        """Lets a robot drive again, from rest, that was stopped because nothing was called."""
+        self._minder.tick()
+        if self._minder.stalled:
+            self.stop()
+            self._minder.forgive()
 
     def get_observation(self) -> Observation:
         """The newest pose; NaN and infinitely old if there is none."""
@@ -147,6 +161,7 @@ class TurtleBot3(AbstractContextManager):
             raise RobotFault(fault)
         asked = Command(float(action[0]), float(action[1]) + self._rules.injected)
         self._target = self._rules.limits.clamp(asked)
+        self._minder.watch()
         return self._advance()
 
     def hold(
@@ -176,6 +191,9 @@ class TurtleBot3(AbstractContextManager):
     def check(self) -> Fault | None:
         """Why the robot may not be driven on; None: it may. The first reason since `begin`."""
         self._take()
+        if self._minder.stalled:
+            most = self._rules.guard.watchdog
+            return Fault("stalled", f"the robot was left alone for more than {most:g} s")
         return self._tracker.check(self._clock.now())
 
     def stop(self) -> None:
@@ -189,6 +207,7 @@ class TurtleBot3(AbstractContextManager):
             with suppress(*(Exception,) * bool(left)):
                 self._publish(STOP)
             self._clock.sleep_until(self._clock.now() + BETWEEN_STOPS)
+        self._minder.rest()
 
     def reset(self) -> None:
         """Has a simulated robot put back to its start.
@@ -224,6 +243,7 @@ class TurtleBot3(AbstractContextManager):
             try:
                 self._come_to_rest()
             finally:
+                self._minder.end()
                 self._link.close()
 
     def _await_odometry(self) -> Odometry:
@@ -264,6 +284,7 @@ class TurtleBot3(AbstractContextManager):
             self._take()
 
     def _take(self) -> None:
+        self._minder.tick()
         messages = self._link.take()
         self.odometry += messages
         self._tracker.take(messages)
@@ -279,3 +300,9 @@ class TurtleBot3(AbstractContextManager):
             self._link.send(command)
             self.commands.append((self._sent_at, command))
         return command
+
+    def _brake(self) -> None:
+        """Zero velocity, on the minder's thread."""
+        if not self._rules.dry_run:
+            self._link.send(STOP)
+            self.commands.append((self._clock.now(), STOP))

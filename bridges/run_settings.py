@@ -55,7 +55,9 @@ class RunConfig:
         "rad a control period that are added to the policy's turns: the paper's drift on a robot "
         "that has none (-0.65 there)",
     )
-    watchdog: float = setting(0.5, "s; the robot stops when its odometry is older", above=0)
+    watchdog: float = setting(
+        0.5, "s; the robot stops when its odometry is older, or its loop hangs", above=0
+    )
     max_linear: float = setting(ROBOT_LINEAR, "m/s that the robot may be told", above=0)
     max_angular: float = setting(ROBOT_ANGULAR, "rad/s that the robot may be told", above=0)
     linear_acceleration: float = setting(2.5, "m/s^2 at most between commands", above=0)

@@ -22,7 +22,7 @@ JUMP_FACTOR = 1.5  # times the robot's speed limits that still count as driving
 class Fault(NamedTuple):
     """Why a robot may not be driven on."""
 
-    reason: str  # "stale", "not finite", "out of order" or "jump"
+    reason: str  # "stale", "not finite", "out of order", "jump", "arena", "stalled", ..
     detail: str  # for people
 
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import threading
 import weakref
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
@@ -14,12 +13,10 @@ import numpy as np
 from gymnasium.error import ResetNeeded
 
 from bridges import people
-from bridges.clock import RealClock
 from bridges.episodes import ARENA
 from bridges.gymnasium.checks import METADATA, check_mode, check_options, checked_action
 from bridges.gymnasium.drawing import draw_plane
 from bridges.gymnasium.ground import action_space, ground, observation_space, run_config
-from bridges.gymnasium.minder import Minder
 from bridges.messages import STOP, Command
 from bridges.robot import TurtleBot3
 from bridges.safety import Fault, RobotFault
@@ -38,7 +35,7 @@ class TurtleBot3Env(gymnasium.Env[np.ndarray, np.ndarray]):
     (info["fault"] says which), where the robot has been stopped.
 
     Between two steps the robot drives on with its last command. If no step comes within `watchdog`
-    seconds it is stopped; the next step goes on.
+    seconds (real ones; never in virtual time) it is stopped; the next step goes on.
 
     Args:
         robot: "auto", "rclpy", "dds", or "memory", a simulated one in this process.
@@ -78,7 +75,6 @@ class TurtleBot3Env(gymnasium.Env[np.ndarray, np.ndarray]):
         self._rules = rules_of(self._config, self._ground)
         self.action_space = action_space(self._ground)
         self.observation_space = observation_space(self._ground, self._zone)
-        self._lock = threading.RLock()
         self._confirmed = self._config.yes or self._config.dry_run or robot == "memory"
         self._driven = self._going = False
         self._close: weakref.finalize | None = None  # while it is connected
@@ -105,20 +101,19 @@ class TurtleBot3Env(gymnasium.Env[np.ndarray, np.ndarray]):
         """
         super().reset(seed=seed)
         check_options(options, ())
-        with self._lock:
-            if seed is not None and self._config.robot == "memory":
-                self.close()
-                noise = replace(self._config.sim, seed=int(self.np_random.integers(2**31)))
-                self._config = replace(self._config, sim=noise)
-            self._connect()
-            with self._used():
-                self._put_back()
-                self._robot.begin()
-                self._going, self._t = True, 0
-                self._due: float | None = None
-                obs = self._robot.get_observation()
-                self._path = [obs.pose]
-                return obs.pose.copy(), self._info(obs.age)
+        if seed is not None and self._config.robot == "memory":
+            self.close()
+            noise = replace(self._config.sim, seed=int(self.np_random.integers(2**31)))
+            self._config = replace(self._config, sim=noise)
+        self._connect()
+        with self._used():
+            self._put_back()
+            self._robot.begin()
+            self._going, self._t = True, 0
+            self._due: float | None = None
+            obs = self._robot.get_observation()
+            self._path = [obs.pose]
+            return obs.pose.copy(), self._info(obs.age)
 
     def step(self, action: Any) -> tuple[np.ndarray, float, bool, bool, dict[str, Any]]:
         """Drives for a control period.
@@ -136,11 +131,9 @@ class TurtleBot3Env(gymnasium.Env[np.ndarray, np.ndarray]):
         if not self._going:
             raise ResetNeeded("there is no episode, or it has ended: reset() begins one")
         checked = checked_action(action, (2,))
-        with self._lock, self._used():
-            told = self._step(checked)
-            if self._going:
-                self._minder.leave()
-            return told
+        with self._used():
+            self._robot.go_on()  # between two steps it may be left alone
+            return self._step(checked)
 
     def render(self) -> Any:
         """A picture of the plane with the robot's path, [400, 400, 3] uint8.
@@ -168,16 +161,12 @@ class TurtleBot3Env(gymnasium.Env[np.ndarray, np.ndarray]):
         link, self._clock = world(self._config)
         self._robot = TurtleBot3(link, self._clock, self._rules)
         self._robot.connect()
-        real = isinstance(self._clock, RealClock)
-        patience = self._config.watchdog / self._config.speed if real else None
-        self._minder = Minder(self._robot, self._lock, patience)
         # also when the program ends, or forgets the environment
-        self._close = weakref.finalize(self, self._minder.disconnect)
+        self._close = weakref.finalize(self, self._robot.disconnect)
 
     @contextmanager
     def _used(self) -> Iterator[None]:
         """While the robot is used; it stands still after an error, or an interruption."""
-        self._minder.back()
         try:
             yield
         except BaseException:

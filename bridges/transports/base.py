@@ -38,7 +38,10 @@ class LinkSettings:
 
 
 class RobotLink(Protocol):
-    """The bridge's end. All methods are called from one thread; times are `bridges.clock` ones."""
+    """The bridge's end; times are `bridges.clock` ones.
+
+    All methods are called from one thread, but `send`: another may call it at the same time.
+    """
 
     @property
     def command_type(self) -> str:

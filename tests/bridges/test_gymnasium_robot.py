@@ -7,7 +7,7 @@ import math
 import os
 import subprocess
 import sys
-import threading
+import time
 import warnings
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -25,12 +25,12 @@ import envs_jax
 from bridges import bundle
 from bridges.environments import zone
 from bridges.gymnasium.ground import ground
-from bridges.gymnasium.minder import Minder
 from bridges.messages import STOP, BridgeError
 from bridges.world import World
 from tests.bridges import robot_bundles
 from tests.bridges.conftest import ROOT
 from tests.bridges.fake_robot import FakeRobot
+from tests.bridges.real_time import beside
 
 AHEAD = np.array([0.15, 0.0], np.float32)
 SHARP = {"linear_acceleration": None, "angular_acceleration": None, "quantization": None}
@@ -298,39 +298,25 @@ def test_a_dry_run_publishes_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
     np.testing.assert_array_equal(obs, np.zeros(3))
 
 
-class Stopped:
-    """Stands for a robot where only its being stopped counts."""
+def test_a_robot_that_is_left_alone_between_two_steps_is_stopped_and_goes_on(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    with beside() as here:
+        there = World(here.link, here.clock)
+        monkeypatch.setattr("bridges.gymnasium.turtlebot.world", lambda config: there)
+        env = made("dds", yes=True, watchdog=0.4)
+        env.reset()
+        env.step(AHEAD)
+        assert here.robot.body.target != STOP
+        time.sleep(1.2)  # somebody learns
+        assert here.robot.body.target == STOP
+        *_, truncated, info = env.step(AHEAD)
+        assert here.robot.body.target != STOP
+        env.close()
+        assert here.robot.body.target == STOP
 
-    def __init__(self) -> None:
-        self.stopped = threading.Event()
-
-    def stop(self) -> None:
-        self.stopped.set()
-
-
-def test_a_robot_that_is_left_alone_is_stopped() -> None:
-    robot: Any = Stopped()
-    lock = threading.RLock()
-    minder = Minder(robot, lock, 0.05)
-    with lock:
-        minder.leave()
-        minder.back()
-        minder.leave()
-
-    assert robot.stopped.wait(10)
-
-
-def test_a_robot_that_is_not_left_alone_drives_on() -> None:
-    robot: Any = Stopped()
-    lock = threading.RLock()
-    minder = Minder(robot, lock, 0.05)
-    with lock:
-        minder.leave()
-        minder.back()
-    patient = Minder(robot, lock, None)
-    patient.leave()
-
-    assert not robot.stopped.wait(0.3)
+    assert (truncated, info["fault"]) == (False, "")
+    assert info["late"] > 1.0
 
 
 def test_an_environment_and_a_simulator_over_dds(domain: int) -> None:
