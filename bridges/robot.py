@@ -103,6 +103,7 @@ class TurtleBot3(AbstractContextManager):
             BridgeError: it sends no odometry, or its clock runs at another speed.
         """
         self._connected = True
+        self._tracker = Tracker(self._rules.guard)  # nothing is known of its clock yet
         try:
             self._link.open()
             first = self._await_odometry()

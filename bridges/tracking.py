@@ -11,6 +11,7 @@ import numpy as np
 from bridges.messages import BridgeError, Odometry
 from bridges.safety import Fault, fault_of, stale, wrapped
 
+CLOCK_DRIFT = 1e-4  # s a second by which two clocks may part: quartzes that nobody sets
 SAME_RATE = (0.6, 1.6)  # of two clocks' speeds; what differs less may be jitter
 
 
@@ -33,13 +34,14 @@ class Tracker:
 
     def __init__(self, guard: Guard) -> None:
         self._guard = guard
+        # s from a stamp to its arrival, by two clocks, at best; known from one episode to the next
+        self._least_delay, self._measured_at = math.inf, 0.0
         self.forget()
 
     def forget(self) -> None:
-        """Begins anew: with what comes next nothing is compared that came before."""
+        """Begins anew: poses that come next are not compared with those that came before."""
         self.newest: Odometry | None = None
         self.fault: Fault | None = None
-        self._least_delay = math.inf  # s from a stamp to its arrival, by two clocks
         self._heading = 0.0  # rad, of the newest odometry, not wrapped
         self._origin = (0.0, 0.0, 0.0)
 
@@ -63,7 +65,10 @@ class Tracker:
                 continue  # the same again: it gets no younger
             else:
                 self._heading += wrapped(odometry.theta - previous.theta)
-            self._least_delay = min(self._least_delay, odometry.received - odometry.stamp)
+            parted = CLOCK_DRIFT * (odometry.received - self._measured_at)
+            delay = odometry.received - odometry.stamp
+            self._least_delay = min(self._least_delay + parted, delay)
+            self._measured_at = odometry.received
             self.newest = odometry
 
     def start_here(self) -> None:

@@ -89,10 +89,37 @@ def test_the_age_counts_from_the_arrival_or_the_delayed_stamp() -> None:
 
     # held up on its way: stamped 0.1 s after the one before, and arrived 0.7 s after it
     tracker.take([Odometry(100.2, 5.8, 0, 0, 0, 0, 0)])
-    assert tracker.age(5.8) == pytest.approx(0.6)
+    assert tracker.age(5.8) == pytest.approx(0.6, abs=1e-3)  # clocks may part a little
     fault = tracker.check(5.8)
     assert fault is not None
     assert fault.reason == "stale"
+
+
+def test_what_is_held_up_from_an_episodes_beginning_is_old_by_what_was_seen_before() -> None:
+    fake = FakeRobot()
+    robot = connected(fake)
+    fake.delay = 0.7  # from now on: each is as old when it arrives, and they come as often
+
+    with pytest.raises(RobotFault, match="stale"):
+        robot.begin()
+
+    fake.delay = 0.0
+    robot.begin()
+    assert robot.get_observation().age < 0.05
+    robot.disconnect()
+    fake.delay = 0.7
+    robot.connect()  # another connection: for all that is known the robot's clock is late
+    robot.begin()
+
+
+def test_clocks_that_part_slowly_make_nothing_old() -> None:
+    tracker = Tracker(Guard(0.5, 0.22, 2.84, math.inf))
+    slow = 1 - 5e-5  # what its clock does in a second of ours
+    for moment in range(0, 20_000, 100):  # 1 s would be lost in all
+        tracker.forget()
+        tracker.take([Odometry(slow * moment, moment, 0, 0, 0, 0, 0)])
+
+    assert tracker.age(moment) == pytest.approx(0, abs=1e-6)
 
 
 @pytest.mark.parametrize(
