@@ -95,13 +95,19 @@ class Drive:
             interrupted: asked at each tick of the robot; a text ends the episode.
             watch: told after each step.
 
+        Returns:
+            The episode; without steps if the robot may not be driven from where it is.
+
         Raises:
-            BridgeError: it cannot begin.
+            BridgeError: there is no odometry.
         """
-        self._robot.begin()
         self._began, self._began_wall = self._clock.now(), time.time_ns()
         try:
+            self._robot.begin()
+            self._began, self._began_wall = self._clock.now(), time.time_ns()
             end = self._to_the_end(interrupted, watch)
+        except RobotFault as error:  # of the beginning
+            end, self._last = error.fault, self._robot.get_observation().pose
         finally:
             self._robot.stop()
         return self._episode(end)

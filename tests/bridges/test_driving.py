@@ -128,6 +128,16 @@ def test_a_robot_that_is_outside_before_it_acts_is_no_whole_episode() -> None:
     assert {command for _, command in fake.received} == {STOP}
 
 
+def test_a_robot_that_may_not_begin_is_an_episode_without_steps() -> None:
+    episode = driven(
+        FakeRobot(start=(5.0, 0.0, 0.0)), steered(AHEAD), from_start=False, geofence=2.5
+    )
+
+    assert (episode.ending, episode.steps, episode.whole) == ("arena", (), False)
+    assert episode.last_pose == pytest.approx([5.0, 0.0, 0.0])
+    assert problem_of(episode, 100) is None
+
+
 def test_whoever_interrupts_before_the_first_action_keeps_the_robot_from_moving() -> None:
     fake = FakeRobot()
 

@@ -21,6 +21,7 @@ from bridges.messages import STOP, BridgeError
 from bridges.policy import Policy
 from bridges.recording import read
 from bridges.recording_checks import INDEX
+from bridges.run_settings import RunConfig
 from bridges.signals import Interrupted, Signals
 from bridges.stages import collectors
 from bridges.world import World
@@ -217,6 +218,27 @@ def test_three_episodes_in_a_row_may_not_be_broken_off(
     assert [episode.ending for episode in episodes] == ["stale"] * 3
     assert len(questions) == 2
     assert fake.received[-1][1] == STOP
+
+
+def test_an_episode_that_cannot_begin_is_broken_off_and_the_next_one_may(
+    main: Run, fake: FakeRobot, tmp_path: Path
+) -> None:
+    fake.start = fake.pose = (9.0, 0.0, 0.0)  # outside the arena around odometry's origin
+    put_back = iter([None, (0.0, 0.0, 0.0)])
+
+    def person(question: str) -> None:
+        fake.pose = next(put_back) or fake.pose
+
+    config = RunConfig(
+        str(tmp_path / "policy.safetensors"),
+        *("dds", "collect", 1, str(tmp_path / "out")),
+        origin="odometry",
+    )
+    assert run.run(config, person) == 0
+
+    episodes = read(tmp_path / "out" / "recording_0").episodes
+    assert [episode.whole for episode in episodes] == [False, True]
+    assert (episodes[0].ending, len(episodes[0].steps)) == ("arena", 0)
 
 
 @pytest.mark.parametrize(
