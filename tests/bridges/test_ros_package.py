@@ -12,6 +12,7 @@ import importlib
 import os
 import re
 import runpy
+import signal
 import subprocess
 import sys
 import threading
@@ -432,6 +433,23 @@ def test_commands_go_through_and_silence_stops_the_robot(ros: Ros, kind: Any) ->
     assert all(type(message) is kind for message in ros.published)
     if kind is TwistStamped:
         assert ros.published[-1].header.stamp == "now"
+
+
+@pytest.mark.parametrize("name", ["SIGINT", "SIGTERM", "SIGHUP", "SIGQUIT", "SIGTSTP"])
+def test_whatever_ends_the_deadman_stops_the_robot(ros: Ros, name: str) -> None:
+    deadman = importlib.import_module(f"{MODULES}.deadman")
+    ros.overrides = {"command_type": "twist", "timeout": 60.0}
+    number = signal.Signals[name]
+    ros.now = [lambda: take(ros, Twist(0.2)), lambda: os.kill(os.getpid(), number)]
+    before = {each: signal.getsignal(each) for each in deadman.SIGNALS}
+    try:
+        deadman.main()
+    finally:
+        for each, handler in before.items():
+            signal.signal(each, handler)
+
+    assert [message.speed for message in ros.published] == [0.2, *[0.0] * 5]
+    assert ros.calls[-3:] == ["executor.shutdown", "destroy_node", "context.try_shutdown"]
 
 
 def take(ros: Ros, message: Any) -> None:

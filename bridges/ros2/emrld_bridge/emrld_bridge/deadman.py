@@ -36,6 +36,12 @@ QOS = QoSProfile(
 )
 TICK = 0.05  # s between looks at the time
 STOPS = 5  # zero velocities that are sent to stop: some may get lost
+# what would end or stop this node with the robot driving on: a terminal that is gone, Ctrl-Z, ..
+SIGNALS = [
+    getattr(signal, name)
+    for name in ("SIGINT", "SIGTERM", "SIGHUP", "SIGQUIT", "SIGTSTP")
+    if hasattr(signal, name)
+]
 PARAMETERS = (
     ("timeout", 0.5, "s without a command after which the robot is stopped"),
     (
@@ -75,7 +81,7 @@ class Silence:
 def main() -> None:
     """Passes commands on until a signal comes."""
     stopped: list[int] = []
-    for number in (signal.SIGINT, signal.SIGTERM):
+    for number in SIGNALS:
         signal.signal(number, lambda number, _: stopped.append(number))
     context = Context()
     # no handler of rclpy's: it would end the context before the robot is stopped
