@@ -60,7 +60,8 @@ def simulate(
     Raises:
         BridgeError: the page cannot be offered, or a setting is of no use.
     """
-    robot = SimulatedRobot(end, config, clock.now())
+    # stamps begin at ROS's time, as a robot's, and go on as fast as the simulation
+    robot = SimulatedRobot(end, config, clock.now(), time.time())
     view = None if config.view is None else View(config, config, config.speed)
     say(greeting(config))
     say(f"page: {view.url}" if view else "page: none (view=8000 offers one)")

@@ -26,17 +26,23 @@ class SimulatedRobot:
         end: its end of a transport, open.
         settings: what it can do and what goes wrong.
         moment: the time at which it begins, in s; its odometry is told from then on.
+        stamp: what its odometry's stamps show then, in s; None: the same.
 
     Raises:
         SettingError: the settings' start is not three numbers.
     """
 
     def __init__(
-        self, end: RobotEnd, settings: SimulatedRobotSettings, moment: float = 0.0
+        self,
+        end: RobotEnd,
+        settings: SimulatedRobotSettings,
+        moment: float = 0.0,
+        stamp: float | None = None,
     ) -> None:
         self._end, self._settings = end, settings
         self.body = TurtleBot3(settings)
         self._begin = self._now = moment
+        self._stamps = 0.0 if stamp is None else stamp - moment
         self._fault = Fault(settings.fault)
         self._seen = 0  # poses that odometry was made of
         # What happens by chance: each on its own, so that a loss does not change the noise.
@@ -142,7 +148,7 @@ class SimulatedRobot:
         settings, body = self._settings, self.body
         dx, dy, turn = self._noise.standard_normal(3)
         odometry = Odometry(
-            stamp=self._now,
+            stamp=self._now + self._stamps,
             received=self._now,
             x=body.x + settings.position_noise * float(dx),
             y=body.y + settings.position_noise * float(dy),

@@ -88,6 +88,16 @@ def test_odometry_comes_at_its_rate_whatever_the_ticks_are() -> None:
     assert len(end.told) == 41
 
 
+def test_stamps_may_begin_at_another_time_and_go_on_as_time_does() -> None:
+    end = Recorder()
+    robot = SimulatedRobot(end, SimulatedRobotSettings(), 50.0, 1.7e9)
+    robot.tick(51.0)
+
+    stamps = [o.stamp - 1.7e9 for o in end.told]
+    assert stamps == pytest.approx([k / 30 for k in range(31)], rel=0, abs=1e-6)
+    assert end.told[-1].received == pytest.approx(51.0)
+
+
 def test_odometry_is_of_its_moment() -> None:
     end, _ = simulated(12.0, lambda _: Command(0.2, 1.0), **AT_ONCE)
 
