@@ -72,9 +72,10 @@ class RosLink(ReceivingLink):
             if not until(lambda: publisher.get_subscription_count() > 0, late):
                 raise TransportError(
                     f"the robot was found in {session.place}, but its subscription to"
-                    f" {names.topic(self._settings, names.COMMANDS)} does not match ours, which"
+                    f" {node.resolve_topic_name(names.COMMANDS)} does not match ours, which"
                     " is reliable and volatile"
                 )
+            session.check_odometry()
         except BaseException:
             self.close()
             raise
@@ -206,7 +207,6 @@ class _Session:
             )
         number = names.domain_id(settings)
         names.topic(settings, "")  # a bad namespace is refused in our words
-        self._settings = settings
         self.place = f"domain {number} (rclpy)"
         self._context = Context()
         try:
@@ -236,19 +236,35 @@ class _Session:
     def look(self) -> Seen:
         """What the ROS graph shows."""
         node = self.node
-        odometry = {e.topic_type for e in node.get_publishers_info_by_topic(names.ODOMETRY)}
+        odometry = {publisher.topic_type for publisher in self._publishers()}
         ours = {names.RESET} if odometry else {names.RESET, names.ODOMETRY}
-        hidden = {names.topic(self._settings, name) for name in ours}
+        hidden = {node.resolve_topic_name(name) for name in ours}
         topics = {
             name: ", ".join(types)
             for name, types in node.get_topic_names_and_types()
             if name not in hidden
         }
-        return Seen(
-            {e.topic_type for e in node.get_subscriptions_info_by_topic(names.COMMANDS)},
-            _ODOMETRY in odometry,
-            topics,
-        )
+        # rclpy need not remap what is asked for
+        listeners = node.get_subscriptions_info_by_topic(node.resolve_topic_name(names.COMMANDS))
+        return Seen({e.topic_type for e in listeners}, _ODOMETRY in odometry, topics)
+
+    def check_odometry(self) -> None:
+        """Refuses odometry that our subscription does not match.
+
+        Raises:
+            TransportError: all of it is sent by best effort.
+        """
+        found = [each for each in self._publishers() if each.topic_type == _ODOMETRY]
+        kinds = {each.qos_profile.reliability for each in found}
+        if kinds == {ReliabilityPolicy.BEST_EFFORT}:
+            raise TransportError(
+                f"the robot was found in {self.place}, but it publishes"
+                f" {self.node.resolve_topic_name(names.ODOMETRY)} by best effort, which our"
+                " subscription does not match: it must publish odometry reliably"
+            )
+
+    def _publishers(self) -> Any:
+        return self.node.get_publishers_info_by_topic(self.node.resolve_topic_name(names.ODOMETRY))
 
     def close(self) -> None:
         """Waits a moment for what was sent last, then ends everything, what is served first."""

@@ -30,6 +30,7 @@ class Ros:
         self.calls: list[tuple[Any, ...]] = []
         self.nodes: list[Node] = []
         self.published: list[Any] = []
+        self.remapped: dict[str, str] = {}  # full names of topics; of nodes that begin from now on
 
     def init(
         self,
@@ -71,7 +72,7 @@ class Ros:
 
 
 POLICIES = (
-    ("ReliabilityPolicy", ("RELIABLE",)),
+    ("ReliabilityPolicy", ("RELIABLE", "BEST_EFFORT")),
     ("DurabilityPolicy", ("VOLATILE",)),
     ("HistoryPolicy", ("KEEP_LAST",)),
 )
@@ -120,6 +121,7 @@ class Executor:
 class Publisher:
     def __init__(self, node: Node, kind: type, topic: str) -> None:
         self.node, self.kind, self.topic = node, kind, topic
+        self.reliability = "RELIABLE"
 
     def publish(self, message: Any) -> None:
         assert isinstance(message, self.kind)
@@ -160,19 +162,20 @@ class Node:
         self.publishers: list[Publisher] = []
         self.subscribed: list[tuple[type, str, Any]] = []
         self.services: dict[str, Any] = {}
+        self.remapped = dict(context.ros.remapped)
         context.ros.calls.append(("node", node_name, namespace))
         context.ros.nodes.append(self)
 
     def create_publisher(self, msg_type: type, topic: str, qos_profile: Any) -> Publisher:
         self._check(qos_profile)
-        self.publishers.append(Publisher(self, msg_type, f"{self.namespace}/{topic}"))
+        self.publishers.append(Publisher(self, msg_type, self.resolve_topic_name(topic)))
         return self.publishers[-1]
 
     def create_subscription(
         self, msg_type: type, topic: str, callback: Any, qos_profile: Any
     ) -> None:
         self._check(qos_profile)
-        self.subscribed.append((msg_type, f"{self.namespace}/{topic}", callback))
+        self.subscribed.append((msg_type, self.resolve_topic_name(topic), callback))
 
     def create_service(self, srv_type: type, srv_name: str, callback: Any) -> None:
         self.services[f"{self.namespace}/{srv_name}"] = callback
@@ -185,12 +188,22 @@ class Node:
             "durability": "VOLATILE",
         }
 
+    def resolve_topic_name(self, topic: str) -> str:
+        full = self._expanded(topic)
+        return self.remapped.get(full, full)
+
+    def _expanded(self, topic: str) -> str:
+        return topic if topic.startswith("/") else f"{self.namespace}/{topic}"
+
     def get_publishers_info_by_topic(self, topic_name: str) -> list[Any]:
         return [
-            SimpleNamespace(topic_type=publisher.kind.ros_type)  # type: ignore[attr-defined]
+            SimpleNamespace(
+                topic_type=publisher.kind.ros_type,  # type: ignore[attr-defined]
+                qos_profile=SimpleNamespace(reliability=publisher.reliability),
+            )
             for node in self.context.ros.nodes
             for publisher in node.publishers
-            if publisher.topic == f"{self.namespace}/{topic_name}"
+            if publisher.topic == self._expanded(topic_name)
         ]
 
     def get_subscriptions_info_by_topic(self, topic_name: str) -> list[Any]:
@@ -198,7 +211,7 @@ class Node:
             SimpleNamespace(topic_type=kind.ros_type)  # type: ignore[attr-defined]
             for node in self.context.ros.nodes
             for kind, topic, _ in node.subscribed
-            if topic == f"{self.namespace}/{topic_name}"
+            if topic == self._expanded(topic_name)
         ]
 
     def get_topic_names_and_types(self) -> list[tuple[str, list[str]]]:

@@ -127,6 +127,32 @@ def test_nobody_and_another_type_are_told(ros: rclpy_stand_in.Ros) -> None:
     assert not ros.nodes
 
 
+def test_topics_may_be_remapped(ros: rclpy_stand_in.Ros) -> None:
+    ros.remapped = {"/lab/odom": "/wheels", "/lab/cmd_vel": "/lab/drive"}
+    robot = choice.end("rclpy", LinkSettings(7, "lab"), RealClock())
+    robot.open()
+    link = choice.link("rclpy", LinkSettings(7, "lab", connect_timeout=LIMIT), RealClock())
+    link.open()
+    link.send(Command(0.1, 0.0))
+    assert robot.wait(LIMIT)
+    robot.publish(Odometry(1.0, 1.0, 0.0, 0.0, 0.0, 0.0, 0.0), (1, 1, 1))
+    assert link.wait(LIMIT)
+    link.close()
+    robot.close()
+
+
+def test_odometry_by_best_effort_is_told(ros: rclpy_stand_in.Ros) -> None:
+    link, robot = ends()
+    (publisher,) = (p for p in ros.nodes[0].publishers if p.topic == "/odom")
+    publisher.reliability = "BEST_EFFORT"
+    with pytest.raises(TransportError, match="publishes /odom by best effort"):
+        link.open()
+    publisher.reliability = "RELIABLE"
+    link.open()
+    link.close()
+    robot.close()
+
+
 def test_a_robot_that_cannot_be_reset_is_told(ros: rclpy_stand_in.Ros) -> None:
     link, robot = ends()
     ros.nodes[0].subscribed[:1] = []
