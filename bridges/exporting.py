@@ -75,7 +75,8 @@ def export(
     """
     folder = RunFolder(Path(run))
     config = load_config(folder.config)
-    setup = set_up(config if demos is None else replace(config, demos=demos))
+    # only adaptation is exported, so the outer loss's own demonstrations need not be there
+    setup = set_up(replace(config, demos=demos or config.demos, outer_demos=None))
     if demos is None and (text := other_demonstrations(folder.provenance, setup.demos_path)):
         note(text)
     index = _index(setup, split, task)

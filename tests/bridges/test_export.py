@@ -206,6 +206,22 @@ def test_other_demonstrations_say_what_tasks_there_are(run: Run, tmp_path: Path)
         exported(str(run("env=two_wheeled_drift")), demos=str(demos))
 
 
+def test_the_outer_losss_own_demonstrations_need_not_be_there(run: Run, tmp_path: Path) -> None:
+    settings = ("env=point2d", "algo=gmps")
+    outer = tmp_path / "outer.npz"
+    shutil.copy(load_trained(run(*settings)).setup.demos_path, outer)
+    path = run(*settings, f"outer_demos={outer}")
+    there = exported(str(path))
+    outer.unlink()
+
+    gone = exported(str(path))
+
+    assert (gone.settings, gone.stage) == (there.settings, there.stage)
+    assert gone.tensors.keys() == there.tensors.keys()
+    for name, values in there.tensors.items():
+        np.testing.assert_array_equal(gone.tensors[name], values)
+
+
 def test_demonstrations_that_have_changed_are_told(run: Run, tmp_path: Path) -> None:
     path = shutil.copytree(run("env=point2d"), tmp_path / "seed0")
     record = json.loads((path / "provenance.json").read_text())
