@@ -181,6 +181,12 @@ class Session:
             self._confirmed = True
         elif self._asks and self._driven:
             self._ask("Put the robot back to its start, heading as it did.")
+        elif self._asks and any(self.out.glob(f"*/{INDEX}")):  # yes=true, and not the first command
+            print(
+                f"note: {self.out} is gone on with, and --yes asks nobody: this episode, and its "
+                "arena, begin wherever the robot stands now",
+                flush=True,
+            )
         if (config.reset == "service" or config.robot == "memory") and not config.dry_run:
             robot.reset()
 

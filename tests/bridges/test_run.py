@@ -163,6 +163,18 @@ def test_yes_spares_the_first_question(main: Run, fake: FakeRobot, questions: li
     assert len(questions) == 1
 
 
+def test_yes_says_that_a_command_that_goes_on_begins_where_the_robot_stands(
+    main: Run, fake: FakeRobot, questions: list[int], capsys: pytest.CaptureFixture[str]
+) -> None:
+    told = []
+    for episodes in (1, 3):
+        assert main("--yes", robot="dds", mode="collect", episodes=episodes) == 0
+        told.append(capsys.readouterr().out.count("wherever the robot stands now"))
+
+    assert told == [0, 1]  # once: before the next one somebody is asked
+    assert len(questions) == 1
+
+
 def test_a_simulator_is_put_back_without_questions(
     main: Run, fake: FakeRobot, questions: list[int]
 ) -> None:
