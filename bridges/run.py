@@ -57,6 +57,7 @@ def run(config: RunConfig, ask: people.Ask = people.ask) -> int:
                 getattr(session, config.mode)(driver)
             if config.mode != "adapt":
                 session.tell()
+            signals.check()
         except Interrupted as error:
             kept = f"; what is recorded stays in {session.out}, and the same command goes on"
             print(f"\nstopped by {error}{kept}", file=sys.stderr, flush=True)

@@ -5,12 +5,19 @@ from __future__ import annotations
 import os
 import subprocess
 import sys
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
+from typing import Any
 from zlib import crc32
 
 import pytest
+
+from bridges import bundle, modes, run
+from bridges.messages import STOP
+from bridges.world import World
+from tests.bridges import robot_bundles
+from tests.bridges.fake_robot import FakeRobot
 
 ROOT = Path(__file__).resolve().parents[2]
 LOOPBACK = (
@@ -22,6 +29,10 @@ LOOPBACK = (
     "<MaxAutoParticipantIndex>32</MaxAutoParticipantIndex></Discovery>"
     "</Domain></CycloneDDS>"
 )
+# the goal is 2 m ahead; slow noise leaves it there
+AHEAD = robot_bundles.constant((0.9, 0.0), log_std=-4.0)
+
+Run = Callable[..., int]
 
 
 @pytest.fixture(scope="session", autouse=True)
@@ -68,3 +79,37 @@ def echo_robots(transport: str, domain: int, *robots: str) -> Iterator[subproces
         process.wait()
         process.stdin.close()
         process.stdout.close()
+
+
+@pytest.fixture
+def main(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Run:
+    """`bridges.run` in this process; its exit code."""
+    bundle.write(tmp_path / "policy.safetensors", AHEAD)
+
+    def call(*arguments: str, robot: str = "memory", **settings: Any) -> int:
+        given = {"bundle": tmp_path / "policy.safetensors", "out": tmp_path / "out", **settings}
+        texts = [f"{name}={value}" for name, value in given.items()]
+        monkeypatch.setattr(sys, "argv", ["run", f"robot={robot}", *texts, *arguments])
+        return run.main()
+
+    return call
+
+
+@pytest.fixture
+def fake(monkeypatch: pytest.MonkeyPatch) -> FakeRobot:
+    """A robot in place of one on a network."""
+    robot = FakeRobot()
+    monkeypatch.setattr(modes, "world", lambda config: World(robot, robot.clock))
+    return robot
+
+
+@pytest.fixture
+def questions(monkeypatch: pytest.MonkeyPatch, fake: FakeRobot) -> list[int]:
+    """A person says yes; how many commands had moved the robot by then, each time."""
+    asked: list[int] = []
+    monkeypatch.setattr("builtins.input", lambda: asked.append(moves(fake)))
+    return asked
+
+
+def moves(fake: FakeRobot) -> int:
+    return sum(command != STOP for _, command in fake.received)

@@ -7,7 +7,7 @@ import os
 import signal
 import subprocess
 import sys
-from collections.abc import Callable
+from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from bridges import bundle, modes, run
+from bridges import bundle, run
 from bridges.bundle import Stage
 from bridges.messages import STOP, BridgeError
 from bridges.policy import Policy
@@ -24,49 +24,9 @@ from bridges.recording_checks import INDEX
 from bridges.run_settings import RunConfig
 from bridges.signals import Interrupted, Signals
 from bridges.stages import collectors
-from bridges.world import World
 from tests.bridges import robot_bundles
-from tests.bridges.conftest import ROOT
+from tests.bridges.conftest import AHEAD, ROOT, Run, moves
 from tests.bridges.fake_robot import FakeRobot
-
-# the goal is 2 m ahead; slow noise leaves it there
-AHEAD = robot_bundles.constant((0.9, 0.0), log_std=-4.0)
-
-Run = Callable[..., int]
-
-
-@pytest.fixture
-def main(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Run:
-    """The command in this process; its exit code."""
-    bundle.write(tmp_path / "policy.safetensors", AHEAD)
-
-    def call(*arguments: str, robot: str = "memory", **settings: Any) -> int:
-        given = {"bundle": tmp_path / "policy.safetensors", "out": tmp_path / "out", **settings}
-        texts = [f"{name}={value}" for name, value in given.items()]
-        monkeypatch.setattr(sys, "argv", ["run", f"robot={robot}", *texts, *arguments])
-        return run.main()
-
-    return call
-
-
-@pytest.fixture
-def fake(monkeypatch: pytest.MonkeyPatch) -> FakeRobot:
-    """A robot in place of one on a network."""
-    robot = FakeRobot()
-    monkeypatch.setattr(modes, "world", lambda config: World(robot, robot.clock))
-    return robot
-
-
-@pytest.fixture
-def questions(monkeypatch: pytest.MonkeyPatch, fake: FakeRobot) -> list[int]:
-    """A person says yes; how many commands had moved the robot by then, each time."""
-    asked: list[int] = []
-    monkeypatch.setattr("builtins.input", lambda: asked.append(moves(fake)))
-    return asked
-
-
-def moves(fake: FakeRobot) -> int:
-    return sum(command != STOP for _, command in fake.received)
 
 
 def test_the_whole_loop(main: Run, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -138,8 +98,8 @@ def test_parts_of_the_loop_one_by_one(
         main(mode="collect", bundle=adapted)
     with pytest.raises(BridgeError, match="is no recording"):
         main(mode="adapt", recordings=f"[{tmp_path}]")
-    with pytest.raises(BridgeError, match="another bundle"):
-        main(mode="execute", episodes=2)  # of the bundle that is not adapted
+    with pytest.raises(BridgeError, match="execution was recorded with noise=True, not False"):
+        main(mode="execute", episodes=2)
 
 
 def test_nothing_moves_before_a_person_has_agreed(
@@ -292,6 +252,29 @@ def test_a_signal_is_raised_at_once_where_nothing_drives() -> None:
     assert signal.getsignal(signal.SIGTERM) == before
 
 
+def test_a_signal_whose_exception_got_lost_ends_the_command_all_the_same() -> None:
+    with Signals() as signals:
+        with suppress(Interrupted):  # as a library does that calls Python back
+            os.kill(os.getpid(), signal.SIGTERM)
+        with pytest.raises(Interrupted, match="SIGTERM"):
+            signals.check()
+
+
+def test_a_signal_that_is_postponed_is_told_and_raised_at_the_end(
+    capfd: pytest.CaptureFixture[str],
+) -> None:
+    reached = []
+
+    def work(signals: Signals) -> None:
+        with signals.postponed("the work"):
+            os.kill(os.getpid(), signal.SIGINT)
+            reached.append(capfd.readouterr().err)
+
+    with Signals() as signals, pytest.raises(Interrupted, match="SIGINT"):
+        work(signals)
+    assert reached == ["\nSIGINT: ends after the work\n"]
+
+
 def test_a_loop_that_hangs_is_ended_by_a_later_signal(monkeypatch: pytest.MonkeyPatch) -> None:
     moments = iter([10.0, 10.0, 10.9, 11.1])
     monkeypatch.setattr("bridges.signals.time.monotonic", lambda: next(moments))
@@ -334,12 +317,6 @@ def test_a_policy_that_drives_something_else_is_refused(main: Run, tmp_path: Pat
         main(bundle=tmp_path / "point.safetensors")
 
     assert not (tmp_path / "out").exists()
-
-
-def test_a_folder_of_another_robot_is_not_mixed_with_this_one(main: Run) -> None:
-    assert main(mode="collect", episodes=1) == 0
-    with pytest.raises(BridgeError, match="recorded with driving="):
-        main(mode="collect", episodes=2, max_linear=0.1)
 
 
 def test_help_names_the_settings_and_needs_no_jax_nor_rosbags() -> None:
