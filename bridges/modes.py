@@ -9,26 +9,24 @@ from types import ModuleType
 
 import numpy as np
 
-from bridges import bags, bundle, people
+from bridges import bags, bundle, kept, people
 from bridges.bundle import Bundle
 from bridges.driving import Drive, actor
 from bridges.episodes import Episode
 from bridges.files import write_bytes
+from bridges.kept import ADAPTED, EXECUTION
 from bridges.messages import BridgeError
 from bridges.picture import draw
 from bridges.policy import Policy
-from bridges.recording import Recorder, Recording, header_of, read
+from bridges.recording import Header, Recorder, Recording, header_of, read
 from bridges.recording_checks import INDEX
 from bridges.robot import TurtleBot3
 from bridges.run_settings import RunConfig
 from bridges.signals import Signals
-from bridges.stages import is_after_step
 from bridges.summary import summarized, table
 from bridges.world import World, driving_settings, rules_of, world, zone_of
 
 MOST_FAULTS = 3  # episodes in a row that may be broken off
-EXECUTION = "execution"  # the folder of the adapted policy's episodes
-ADAPTED = "adapted.safetensors"
 
 
 class Session:
@@ -58,22 +56,35 @@ class Session:
         self._asks = config.reset == "ask" and config.robot != "memory" and not config.dry_run
         self._driven = False  # since it was last known to be at its start
         self._world: World | None = None
-        self.out = Path(config.out or f"robot/{Path(str(config.bundle)).stem}")
+        self.out = kept.folder_of(config)
 
     def collect(self, driver: Bundle) -> None:
         """Drives a bundle's policy with its noise until there are enough whole episodes."""
         if driver.stage.adapted:
             raise BridgeError("the bundle is adapted already, so it collects nothing: mode=execute")
-        self._drive(driver, f"recording_{driver.stage.recordings}", noise=True)
+        name = f"recording_{driver.stage.recordings}"
+        if self._missing(driver, name, noise=True):
+            kept.check_not_used(self.out, driver)
+        self._drive(driver, name, noise=True)
 
     def execute(self, driver: Bundle) -> None:
-        """Drives a bundle's policy, as a rule without noise."""
+        """Drives a bundle's policy, adapted if it was, and as a rule without noise."""
+        given, driver = driver, kept.adapted_of(self.out, driver)
+        if driver is not given:
+            print(f"{self.out / ADAPTED} is driven: it was adapted from the bundle that is given")
         if not driver.stage.adapted:
             print("note: the bundle is not adapted; mode=collect and mode=adapt would do that")
         self._drive(driver, EXECUTION, noise=not self._config.deterministic)
 
     def adapt(self, driver: Bundle) -> Bundle:
         """Adapts a bundle to what was recorded, and writes the bundle that this makes."""
+        if not self._config.recordings and (before := kept.made_of(self.out, driver)):
+            print(f"{kept.path_of(self.out, before)}: is adapted to the recording already")
+            return before
+        with self._signals.postponed("the adaptation"):
+            return self._adapt(driver)
+
+    def _adapt(self, driver: Bundle) -> Bundle:
         adapting = _adapting()
         folders = [Path(text) for text in self._config.recordings]
         if not folders:
@@ -82,7 +93,7 @@ class Session:
         began = time.perf_counter()
         made: Bundle = adapting.adapted(driver, recordings)
         seconds = time.perf_counter() - began
-        path = self._path_of(made)
+        path = kept.path_of(self.out, made)
         bundle.write(path, made)
         episodes = sum(episode.whole for episode in recordings[-1].episodes)
         more = "" if made.stage.adapted else "; another inner step collects: drive this bundle next"
@@ -93,10 +104,11 @@ class Session:
         """Collects, adapts and executes; what is there already is not done again."""
         if self._config.dry_run:
             raise BridgeError("dry_run has nothing to adapt from: mode=collect or mode=execute")
+        kept.check_execution(self.out, self._first)
         driver = self._first
         while not driver.stage.adapted:
             self.collect(driver)
-            driver = self._made_before(driver) or self.adapt(driver)
+            driver = self.adapt(driver)
         self.execute(driver)
         return driver
 
@@ -124,18 +136,13 @@ class Session:
     def _drive(self, driver: Bundle, name: str, *, noise: bool) -> None:
         """Drives until the recording of this name has enough whole episodes."""
         bags.rosbags()  # whoever lacks it learns so before the robot is looked for
-        if self._is_complete(driver, self.out / name):
+        if not self._missing(driver, name, noise=noise):
             print(f"{self.out / name}: {self._config.episodes} whole episodes are there already")
             return
+        self._signals.check()
         self._world = self._world or world(self._config)
         with TurtleBot3(self._world.link, self._world.clock, self._rules) as robot:
-            header = header_of(
-                driver,
-                noise=noise,
-                dry_run=self._config.dry_run,
-                command_type=robot.command_type,
-                driving=driving_settings(self._config),
-            )
+            header = self._header(driver, noise, robot.command_type)
             recorder = Recorder(self.out / name, header)
             progress = people.Progress(
                 name, self._config.episodes, self._zone, driver.control_period
@@ -190,27 +197,20 @@ class Session:
         if (config.reset == "service" or config.robot == "memory") and not config.dry_run:
             robot.reset()
 
-    def _is_complete(self, driver: Bundle, folder: Path) -> bool:
-        if not (folder / INDEX).is_file():
-            return False
-        recording = read(folder)
-        enough = sum(e.whole for e in recording.episodes) >= self._config.episodes
-        return enough and recording.header.bundle == driver.content_sha256
+    def _header(self, driver: Bundle, noise: bool, command_type: str) -> Header:
+        """Of what this command drives."""
+        return header_of(
+            driver,
+            noise=noise,
+            dry_run=self._config.dry_run,
+            command_type=command_type,
+            driving=driving_settings(self._config),
+        )
 
-    def _path_of(self, made: Bundle) -> Path:
-        name = ADAPTED if made.stage.adapted else f"policy_{made.stage.recordings}.safetensors"
-        return self.out / name
-
-    def _made_before(self, driver: Bundle) -> Bundle | None:
-        """What adaptation has made of this bundle and its recording already."""
-        number = driver.stage.recordings
-        for path in (self.out / ADAPTED, self.out / f"policy_{number + 1}.safetensors"):
-            if path.is_file():
-                made = bundle.read(path)
-                if is_after_step(made, driver, read(self.out / f"recording_{number}")):
-                    print(f"{path}: is adapted to the recording already")
-                    return made
-        return None
+    def _missing(self, driver: Bundle, name: str, *, noise: bool) -> int:
+        """How many whole episodes a recording lacks; refused if it was driven otherwise."""
+        header = self._header(driver, noise, command_type="")
+        return max(0, self._config.episodes - kept.whole(self.out / name, header))
 
     def _title(self, name: str, recording: Recording) -> str:
         """What a recording is, for people."""

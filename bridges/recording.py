@@ -96,7 +96,7 @@ class Recorder:
                 raise RecordingError(f"{folder} is not empty, and no recording: it has no {INDEX}")
             return
         begun, episodes = read(folder)
-        _check_same(folder, begun, header)
+        check_same(folder, begun, header)
         self._entries = read_index(folder)["episodes"]
         self.episodes = list(episodes)
 
@@ -179,16 +179,33 @@ def _read_episode(folder: Path, header: Header, entry: Mapping[str, Any]) -> Epi
     return episode
 
 
-def _check_same(folder: Path, begun: Header, header: Header) -> None:
+def check_same(folder: Path, begun: Header, header: Header) -> None:
+    """Refuses to add to a recording what was driven otherwise.
+
+    Raises:
+        RecordingError: names the settings that differ.
+    """
     if begun.bundle != header.bundle:
-        raise RecordingError(f"{folder} is a recording of another bundle; choose another folder")
-    for name, value in asdict(header).items():
-        other = getattr(begun, name)
-        if other != value:
-            raise RecordingError(
-                f"{folder} was recorded with {name}={other}, not {value}: give the same settings, "
-                "or choose another folder"
-            )
+        raise RecordingError(f"{folder} is a recording of another bundle; choose another out=")
+    before, now = _flat(begun), _flat(header)
+    # robots have no settings of a simulation: that it is another robot says it all
+    names = [name for name in now if name in before or not name.startswith("sim.")]
+    differing = [
+        f"{name}={before.get(name, 'unknown')}, not {now[name]}"
+        for name in names
+        if name not in before or before[name] != now[name]
+    ]
+    if differing:
+        raise RecordingError(
+            f"{folder} was recorded with {'; '.join(differing)}: give the same settings, or choose "
+            "another out="
+        )
+
+
+def _flat(header: Header) -> dict[str, Any]:
+    values = asdict(header)
+    driving: dict[str, Any] = values.pop("driving")
+    return {**values, **driving}
 
 
 def _sha256(file: Path) -> str:

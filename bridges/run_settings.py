@@ -34,7 +34,7 @@ class RunConfig:
     out: str | None = setting(
         None,
         "folder for recordings, adapted policies, picture and summary; what is there is gone on "
-        "with; null: robot/NAME of the bundle",
+        "with; null: robot/NAME of the bundle, simulated/NAME with robot=memory",
     )
     recordings: list[str] = setting(
         [], "folders to adapt from, in the order of the inner steps; []: those in out"

@@ -130,7 +130,12 @@ def driving_settings(config: RunConfig) -> dict[str, Any]:
     """The settings that a recording's episodes depend on, as JSON values."""
     names = (
         *("residual_angular_velocity", "watchdog", "max_linear", "max_angular"),
-        *("linear_acceleration", "angular_acceleration", "origin"),
+        *("linear_acceleration", "angular_acceleration", "origin", "seed"),
     )
     values = asdict(config)
-    return {name: values[name] for name in names}
+    simulated = config.robot == "memory"  # any other is the same robot, however it is reached
+    return {
+        "robot": "memory" if simulated else "real",
+        **{name: values[name] for name in names},
+        **{f"sim.{name}": value for name, value in values["sim"].items() if simulated},
+    }

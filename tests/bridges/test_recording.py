@@ -138,7 +138,7 @@ def test_a_recording_of_something_else_is_not_continued(folder: Path, tmp_path: 
     other = robot_bundles.constant((0.0, 0.0)).content_sha256
     with pytest.raises(RecordingError, match="another bundle"):
         Recorder(folder, replace(header(), bundle=other))
-    with pytest.raises(RecordingError, match=r"recorded with driving=\{'a': 1\}"):
+    with pytest.raises(RecordingError, match="recorded with a=1, not 2:"):
         Recorder(folder, header(driving={"a": 2}))
     (tmp_path / "notes.txt").write_text("mine")
     with pytest.raises(RecordingError, match="is not empty, and no recording"):
