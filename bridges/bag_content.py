@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -10,8 +11,10 @@ import numpy as np
 
 from bridges import bags
 from bridges.messages import COMMAND_TYPES, BridgeError, Odometry
+from bridges.recording_checks import INDEX
 from bridges.ros_messages import command_of, odometry_of
 
+EPISODE = "/emrld/episode"  # the topic on which the bridge's own recordings tell how it drove
 SPEED_LIMITS = (1.0, 8.0)  # m/s and rad/s that are no TurtleBot3's: other units, or a reset
 NOISE = (0.05, 0.2)  # m and rad between two messages that are no motion
 
@@ -25,6 +28,7 @@ class BagContent(NamedTuple):
     command_time: np.ndarray  # [K]
     command: np.ndarray  # [K, 2]: m/s and rad/s; K is 0 if there are none
     notes: tuple[str, ...]  # for people
+    injected: float = 0.0  # rad/s that the bridge added to what its policy asked for, if it drove
 
 
 def read(path: Path, odometry_topic: str = "/odom", command_topic: str = "/cmd_vel") -> BagContent:
@@ -33,7 +37,13 @@ def read(path: Path, odometry_topic: str = "/odom", command_topic: str = "/cmd_v
     Raises:
         BridgeError: it is none, lacks the topics, or what it says cannot be a TurtleBot3's drive.
     """
-    rows = bags.messages(path, {odometry_topic: (bags.ODOMETRY,), command_topic: COMMAND_TYPES})
+    if (path / INDEX).is_file():
+        raise BridgeError(
+            f"{path} is a whole recording of the bridge; give one of its episodes, such as "
+            f"{path / 'episode_000'}"
+        )
+    kinds = {odometry_topic: (bags.ODOMETRY,), command_topic: COMMAND_TYPES}
+    rows = bags.messages(path, {**kinds, EPISODE: (bags.ABOUT,)})
     if not rows[odometry_topic]:
         raise BridgeError(f"{path}: there is no odometry on {odometry_topic}")
     messages = [odometry_of(message, stamp) for stamp, message in rows[odometry_topic]]
@@ -51,7 +61,31 @@ def read(path: Path, odometry_topic: str = "/odom", command_topic: str = "/cmd_v
     table = np.array(commands, float).reshape(-1, 3)
     if not np.isfinite(table).all():
         raise BridgeError(f"{path}: a command on {command_topic} is not finite")
-    return BagContent(values[:, 0], values[:, 1:4], values[:, 4:], table[:, 0], table[:, 1:], notes)
+    return BagContent(
+        *(values[:, 0], values[:, 1:4], values[:, 4:], table[:, 0], table[:, 1:], notes),
+        _injected(path, [message.data for _, message in rows[EPISODE]]),
+    )
+
+
+def without_injected(content: BagContent) -> BagContent:
+    """With commands as the policy asked for them. Those that stop the robot hold no more."""
+    drives = (content.command != 0).any(axis=1)
+    command = content.command - np.outer(drives, [0.0, content.injected])
+    return content._replace(command=command, injected=0.0)
+
+
+def _injected(path: Path, texts: Sequence[str]) -> float:
+    """rad/s that the bridge added, as the episodes of its own recordings say."""
+    try:
+        about = [json.loads(text)["recording"] for text in texts[:1]]
+        return sum(
+            float(each["driving"].get("residual_angular_velocity", 0)) / each["control_period"]
+            for each in about
+        )
+    except (ValueError, KeyError, TypeError, AttributeError, ZeroDivisionError) as error:
+        raise BridgeError(
+            f"{path}: {EPISODE} does not say how the bridge drove ({error!r})"
+        ) from error
 
 
 def _delay(messages: Sequence[Odometry]) -> float:

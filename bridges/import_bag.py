@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from bridges import bag_content, teleoperation
+from bridges.bag_content import BagContent, without_injected
 from bridges.command_line import configured, run_command
 from bridges.settings import SettingError
 from emrld_jax.fields import setting
@@ -55,12 +56,23 @@ def main() -> int:
     from bridges import demonstrations  # noqa: PLC0415
 
     env = demonstrations.environment(config.env)
+    content, injected = _as_acted(config.env, content)
     drive = teleoperation.resampled(content, env.dt)
     task, told = demonstrations.task(env, drive, config.goal, config.residual_angular_velocity)
     report = demonstrations.write(out, env, task, drive, config.quality, Path(config.bag))
-    for line in (*drive.notes, told, *report, f"wrote {out}"):
+    for line in (*drive.notes, *injected, told, *report, f"wrote {out}"):
         print(line)
     return 0
+
+
+def _as_acted(env: str, content: BagContent) -> tuple[BagContent, list[str]]:
+    """The content with the actions that the environment would take, and a note about them."""
+    if not content.injected:
+        return content, []
+    told = f"the bridge added {content.injected:g} rad/s to what its policy asked for"
+    if env == "two_wheeled_drift":
+        return without_injected(content), [f"{told}: taken off the commands"]
+    return content, [f"{told}: in {env} nothing turns by itself, so actions are what was sent"]
 
 
 def _meant(arguments: Sequence[str]) -> list[str]:

@@ -12,6 +12,7 @@ from bridges.messages import BridgeError
 
 MOVING = (0.005, 0.02)  # m/s and rad/s below which a robot stands still
 GAP = 0.5  # s without odometry that is told
+LEAST = (0.05, 2)  # m from where it began and control steps of a drive that shows anything
 LONGEST_GAP = 2.0  # s without odometry that is refused within the drive
 
 
@@ -30,7 +31,7 @@ def resampled(content: BagContent, period: float) -> Drive:
     its period (a command holds until the next one); without commands, the mean of odometry's twist.
 
     Raises:
-        BridgeError: the robot does not move, or odometry is missing for too long.
+        BridgeError: the robot hardly moves, or odometry is missing for too long.
     """
     start, end = _moving(content)
     number = max(1, math.ceil((end - start) / period - 1e-6))
@@ -43,6 +44,7 @@ def resampled(content: BagContent, period: float) -> Drive:
     else:
         notes.append("no commands are in the bag: actions are odometry's velocities")
         action = _held_means(content.time, content.twist, moments)
+    _check_moved(pose, number)
     return Drive(aligned(pose), action, tuple(notes))
 
 
@@ -68,6 +70,16 @@ def _moving(content: BagContent) -> tuple[float, float]:
     if end <= start:
         raise BridgeError("the drive is not within the odometry of this bag")
     return float(start), float(end)
+
+
+def _check_moved(pose: np.ndarray, number: int) -> None:
+    way = float(np.max(np.hypot(*(pose[:, :2] - pose[0, :2]).T)))
+    if way < LEAST[0] or number < LEAST[1]:
+        raise BridgeError(
+            f"the robot hardly moves in this bag: {way:.3f} m from where it began, in {number} "
+            f"control step{'s' * (number > 1)}; a demonstration needs at least {LEAST[0]:g} m and "
+            f"{LEAST[1]} steps"
+        )
 
 
 def _check_gaps(time: np.ndarray, start: float, end: float, notes: list[str]) -> None:

@@ -17,15 +17,23 @@ import envs_jax
 from bridges import bags, import_bag, teleoperation
 from bridges.bag_content import BagContent
 from bridges.clock import VirtualClock
+from bridges.driving import Drive, actor
 from bridges.messages import STOP, TWIST, TWIST_STAMPED, BridgeError, Command, Odometry
+from bridges.policy import Policy
+from bridges.recording import Recorder, header_of
+from bridges.robot import TurtleBot3
+from bridges.run_settings import RunConfig
 from bridges.simulation.robot import SimulatedRobot
 from bridges.simulation.settings import SimulatedRobotSettings
 from bridges.transports.memory import pair
+from bridges.world import driving_settings, rules_of, world
 from emrld_jax import demos
+from tests.bridges import robot_bundles
 
 START = [1.0, -2.0, 0.7]
+Script = tuple[tuple[float, Command], ...]
 # what a person does: seconds and the velocities meanwhile
-SCRIPT = ((3.0, Command(0.2, 0.0)), (2.0, Command(0.1, 0.5)), (4.0, Command(0.2, 0.1)))
+SCRIPT: Script = ((3.0, Command(0.2, 0.0)), (2.0, Command(0.1, 0.5)), (4.0, Command(0.2, 0.1)))
 REST = 1.3  # s before and after
 ARRIVAL = 1.7e9  # s: the bag's clock is another one than odometry's
 STAMPS = 500.0
@@ -34,7 +42,7 @@ Rows = list[tuple[float, str, Any]]  # s, topic, odometry or command
 Spoil = Callable[[Rows], Rows]
 
 
-def driven(drift: float = 0.0) -> Rows:
+def driven(drift: float = 0.0, script: Script = SCRIPT) -> Rows:
     """Odometry and commands of a simulated robot that a person drives, at 20 commands a second."""
     robot: SimulatedRobot | None = None
 
@@ -49,7 +57,7 @@ def driven(drift: float = 0.0) -> Rows:
     robot = SimulatedRobot(end, settings)
     link.open()
     rows: Rows = []
-    for seconds, command in ((REST, STOP), *SCRIPT, (REST, STOP)):
+    for seconds, command in ((REST, STOP), *script, (REST, STOP)):
         for _ in range(round(20 * seconds)):
             rows.append((clock.now(), "/cmd_vel", command))
             link.send(command)
@@ -277,7 +285,7 @@ def test_commands_hold_until_the_next_one() -> None:
     time = np.linspace(0, 3, 91)
     content = BagContent(
         time=time,
-        pose=np.zeros((91, 3)),
+        pose=np.outer(time, [0.1, 0.0, 0.0]),
         twist=np.zeros((91, 2)),
         command_time=np.array([0.2, 0.9, 1.5]),
         command=np.array([[0.1, 0.0], [0.3, -1.0], [0.0, 0.0]]),
@@ -294,3 +302,85 @@ def test_commands_hold_until_the_next_one() -> None:
         (0.3 * 0.3 / 0.5, -0.3 / 0.5),
     ]
     assert drive.action == pytest.approx(np.array(expected))
+
+
+@pytest.mark.parametrize(
+    ("seconds", "command", "words"),
+    [
+        (3.0, STOP, "never driven"),
+        (3.0, Command(0.0, 0.5), r"hardly moves in this bag: 0\.000 m .* in 6 control steps"),
+        (0.4, Command(0.2, 0.0), r"m from where it began, in 1 control step;"),
+    ],
+)
+def test_a_robot_that_hardly_moves_demonstrates_nothing(
+    tmp_path: Path, main: Any, seconds: float, command: Command, words: str
+) -> None:
+    bag = write(tmp_path / "bag", driven(script=((seconds, command),)))
+
+    with pytest.raises(BridgeError, match=words):
+        main(str(bag), f"out={tmp_path}/demos.npz")
+    assert not (tmp_path / "demos.npz").exists()
+
+
+INJECTED = -0.6  # rad/s, 0.3 rad a control period
+
+
+@pytest.fixture(scope="module")
+def recording(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """An episode of 0.14 m/s and 0.1 rad/s by the policy; the bridge turned the robot meanwhile."""
+    bundle = robot_bundles.constant((2 * 0.14 / 0.22 - 1, 0.1 / 2.84), log_std=-5.0)
+    config = RunConfig("unused", "memory", residual_angular_velocity=0.5 * INJECTED)
+    reached = world(config)
+    header = header_of(
+        bundle,
+        noise=False,
+        dry_run=False,
+        command_type=TWIST_STAMPED,
+        driving=driving_settings(config),
+    )
+    folder = tmp_path_factory.mktemp("out") / "recording_0"
+    assert bundle.zone is not None
+    with TurtleBot3(reached.link, reached.clock, rules_of(config, bundle)) as robot:
+        act = actor(Policy(bundle), None)
+        zone = bundle.zone._replace(horizon=10)
+        Recorder(folder, header).add(Drive(robot, act, zone, reached.clock, 0.5).run())
+    return folder
+
+
+@pytest.mark.parametrize(
+    ("arguments", "turns", "words"),
+    [
+        (("env=two_wheeled",), 0.1 + INJECTED, "actions are what was sent"),
+        (("env=two_wheeled_drift", "residual_angular_velocity=-0.3"), 0.1, "taken off"),
+    ],
+)
+def test_what_the_bridge_injected_is_told_and_taken_off(
+    tmp_path: Path,
+    recording: Path,
+    main: Any,
+    arguments: tuple[str, ...],
+    turns: float,
+    words: str,
+) -> None:
+    out = tmp_path / "demos.npz"
+    said = main(str(recording / "episode_000"), f"out={out}", *arguments)
+
+    assert f"added {INJECTED:g} rad/s to what its policy asked for: " in said
+    assert words in said
+    env = envs_jax.make(arguments[0].removeprefix("env="))
+    (action,) = demos.load(out, env).train.demos.action
+    physical = np.array([env.to_physical(a) for a in action])
+    assert np.allclose(physical[1:-1, 1], turns, atol=0.001)
+    assert np.allclose(physical[1:-1, 0], 0.14, atol=0.001)
+
+
+def test_an_episode_is_asked_for_where_a_whole_recording_is_given(
+    tmp_path: Path, recording: Path, main: Any
+) -> None:
+    with pytest.raises(BridgeError, match=r"whole recording .* such as .*recording_0/episode_000"):
+        main(str(recording), f"out={tmp_path}/demos.npz")
+
+
+def test_what_the_bridge_injected_is_found_without_being_told(recording: Path, main: Any) -> None:
+    with pytest.raises(BridgeError, match=r"this drive looks like -0\.30"):
+        main(str(recording / "episode_000"), "env=two_wheeled_drift")
