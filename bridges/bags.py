@@ -58,7 +58,8 @@ def rosbags() -> _Rosbags:
         from rosbags.typesys import Stores, get_typestore  # noqa: PLC0415
     except ImportError as error:
         raise BridgeError(
-            "recordings need the package rosbags: pip install 'emrld-jax[robot]'"
+            "recordings need the package rosbags: pip install -e '.[robot]' in the clone of "
+            "emrld-jax; on a robot without JAX, docs/bridge/robot.md says how"
         ) from error
     return _Rosbags(rosbag2, get_typestore(Stores.ROS2_JAZZY))
 

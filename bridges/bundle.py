@@ -131,6 +131,11 @@ def read(path: str | Path) -> Bundle:
         BridgeError: there is no such file, or it is refused; says which file and why.
     """
     path = Path(path)
+    if path.is_dir():
+        raise BridgeError(
+            f"{path} is a folder; a bundle is a file. Of a training run it is made by: python -m "
+            f"emrld_jax.export run={path} out=policy.safetensors"
+        )
     if not path.is_file():
         raise BridgeError(f"{path}: there is no such file")
     with path.open("rb") as file:

@@ -85,10 +85,15 @@ class Session:
             return self._adapt(driver)
 
     def _adapt(self, driver: Bundle) -> Bundle:
-        adapting = _adapting()
         folders = [Path(text) for text in self._config.recordings]
         if not folders:
             folders = [self.out / f"recording_{k}" for k in range(driver.stage.recordings + 1)]
+            if missing := [str(folder) for folder in folders if not folder.exists()]:
+                raise BridgeError(
+                    f"there is nothing to adapt to: {', '.join(missing)} is missing; mode=collect "
+                    "drives the episodes (with the same out=), or recordings=[FOLDER] names them"
+                )
+        adapting = _adapting()
         recordings = [read(folder) for folder in folders]
         began = time.perf_counter()
         made: Bundle = adapting.adapted(driver, recordings)

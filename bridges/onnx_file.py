@@ -31,7 +31,7 @@ def check_installed() -> None:
     """
     for package in ("onnx", "onnxruntime"):
         if find_spec(package) is None:
-            raise BridgeError(f"{package} is not installed: pip install 'emrld-jax[onnx]'")
+            raise BridgeError(f"{package} is not installed: pip install -e '.[onnx]'")
 
 
 def model(bundle: Bundle) -> bytes:

@@ -8,7 +8,7 @@ from __future__ import annotations
 try:
     from gymnasium import register
 except ModuleNotFoundError as error:
-    raise ImportError("gymnasium is not installed: pip install 'emrld-jax[gymnasium]'") from error
+    raise ImportError("gymnasium is not installed: pip install -e '.[gymnasium]'") from error
 
 ENVIRONMENTS = {  # Gymnasium's name of each of envs_jax.names()
     "Point2D": "point2d",

@@ -19,8 +19,9 @@ _MISSING = {
         " robot=dds"
     ),
     "dds": (
-        "robot=dds needs CycloneDDS: pip install 'emrld-jax[dds]' (there are wheels for Linux on"
-        " x86-64, macOS on Apple silicon and Windows; on a robot's own computer use robot=rclpy)"
+        "robot=dds needs CycloneDDS: pip install -e '.[dds,robot]' in the clone of emrld-jax (there"
+        " are wheels for Linux on x86-64, macOS on Apple silicon and Windows; on a robot's own"
+        " computer use robot=rclpy)"
     ),
 }
 

@@ -24,7 +24,7 @@ from bridges.transports.base import LinkSettings, TransportError
 from bridges.transports.dds_network import place
 from bridges.transports.dds_node import Node, write
 from bridges.transports.dds_types import EMPTY, ODOMETRY, TYPES
-from bridges.transports.discovery import find_robot, until
+from bridges.transports.discovery import find_robot, nobody_resets, until
 from bridges.transports.receiving import ReceivingEnd, ReceivingLink
 
 _ACKNOWLEDGED = 1.0  # s for the robot to say that it has all: zero velocity, as a rule
@@ -82,7 +82,7 @@ class DdsLink(ReceivingLink):
         self.check_open()
         if not until(lambda: bool(self._reset.matched_sub), time.monotonic() + _MATCHING):
             name = names.topic(self._settings, names.RESET)
-            raise TransportError(f"nobody listens at {name}: only simulated robots can be reset")
+            raise TransportError(nobody_resets(name))
         write(self._reset, TYPES[EMPTY]())
 
     def close(self) -> None:

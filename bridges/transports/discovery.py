@@ -115,4 +115,13 @@ def _nobody(seen: Seen, settings: LinkSettings, place: str) -> str:
             " with CycloneDDS then needs <ParticipantIndex>auto</ParticipantIndex> in its own"
             " CYCLONEDDS_URI."
         )
+    lines.append("(A simulated robot to try with: python -m bridges.sim_turtlebot.)")
     return " ".join(lines)
+
+
+def nobody_resets(name: str) -> str:
+    """What is wrong where nobody takes a request to go back to the start, in words."""
+    return (
+        f"nobody listens at {name}: only simulated robots can be reset, and if this one was reset "
+        "before, it is gone by now (was its process ended?)"
+    )

@@ -24,7 +24,7 @@ from bridges.messages import TWIST, TWIST_STAMPED, Command, Odometry
 from bridges.ros_messages import command_of, fill_odometry, fill_twist, odometry_of
 from bridges.transports import names
 from bridges.transports.base import LinkSettings, TransportError
-from bridges.transports.discovery import Seen, find_robot, until
+from bridges.transports.discovery import Seen, find_robot, nobody_resets, until
 from bridges.transports.receiving import ReceivingEnd, ReceivingLink
 
 RESET_SERVICE = "reset_simulation"  # std_srvs/srv/Empty, of a simulated robot
@@ -97,7 +97,7 @@ class RosLink(ReceivingLink):
         listeners = self._reset.get_subscription_count
         if not until(lambda: listeners() > 0, time.monotonic() + _MATCHING):
             name = names.topic(self._settings, names.RESET)
-            raise TransportError(f"nobody listens at {name}: only simulated robots can be reset")
+            raise TransportError(nobody_resets(name))
         _publish(self._reset, Empty())
 
     def close(self) -> None:

@@ -8,7 +8,9 @@ from types import ModuleType
 
 import pytest
 
+from bridges import bags
 from bridges.clock import RealClock, VirtualClock
+from bridges.messages import BridgeError
 from bridges.transports import choice
 from bridges.transports.base import LinkSettings, TransportError
 
@@ -39,7 +41,7 @@ def test_a_missing_package_is_told_with_what_to_do() -> None:
     assert len(lines) == 6
     for rclpy, dds, auto in (lines[:3], lines[3:]):
         assert "source its setup" in rclpy
-        assert "pip install 'emrld-jax[dds]'" in dds
+        assert "pip install -e '.[dds,robot]'" in dds
         assert auto == dds
 
 
@@ -62,3 +64,10 @@ def test_an_unknown_name_is_refused() -> None:
 def test_only_memory_has_virtual_time(name: str) -> None:
     with pytest.raises(TransportError, match="needs real time"):
         choice.end(name, LinkSettings(), VirtualClock(0.1, lambda _: None))
+
+
+def test_missing_rosbags_is_told_with_what_to_do(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(sys.modules, "rosbags", None)
+    bags.rosbags.cache_clear()
+    with pytest.raises(BridgeError, match=r"pip install -e '\.\[robot\]'.*docs/bridge/robot\.md"):
+        bags.rosbags()

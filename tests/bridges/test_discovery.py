@@ -79,6 +79,7 @@ def test_where_no_topic_is_seen_the_network_is_asked_about() -> None:
     assert "ROS_DOMAIN_ID" in words
     assert "link.peers" in words
     assert "rosout" not in words
+    assert "python -m bridges.sim_turtlebot" in words
 
 
 def test_topics_that_are_seen_are_listed_some_of_them() -> None:

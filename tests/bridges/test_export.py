@@ -350,7 +350,7 @@ def test_a_missing_extra_is_named(
 ) -> None:
     monkeypatch.setattr(onnx_file, "find_spec", lambda name: None)
 
-    with pytest.raises(ConfigError, match=r"pip install 'emrld-jax\[onnx\]'"):
+    with pytest.raises(ConfigError, match=r"pip install -e '\.\[onnx\]'"):
         called(monkeypatch, f"run={run('env=point2d')}", f"out={tmp_path}/p.onnx")
 
 

@@ -347,7 +347,7 @@ def test_a_missing_package_is_named_with_its_extra(environment: dict[str, str]) 
     done = run(MISSING, environment)
 
     assert done.returncode == 1
-    assert "gymnasium is not installed: pip install 'emrld-jax[gymnasium]'" in done.stderr
+    assert "gymnasium is not installed: pip install -e '.[gymnasium]'" in done.stderr
 
 
 def run(code: str, environment: dict[str, str]) -> subprocess.CompletedProcess[str]:

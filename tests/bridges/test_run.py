@@ -96,6 +96,8 @@ def test_parts_of_the_loop_one_by_one(
 
     with pytest.raises(BridgeError, match="adapted already"):
         main(mode="collect", bundle=adapted)
+    with pytest.raises(BridgeError, match=r"elsewhere/recording_0 is missing; mode=collect"):
+        main(mode="adapt", out=tmp_path / "elsewhere")
     with pytest.raises(BridgeError, match="is no recording"):
         main(mode="adapt", recordings=f"[{tmp_path}]")
     with pytest.raises(BridgeError, match="execution was recorded with noise=True, not False"):
@@ -296,6 +298,7 @@ def test_a_loop_that_hangs_is_ended_by_a_later_signal(monkeypatch: pytest.Monkey
     [
         ({"bundle": "null"}, "bundle=FILE is missing"),
         ({"bundle": "nowhere"}, "there is no such file"),
+        ({"bundle": ROOT}, f"python -m emrld_jax.export run={ROOT} out=policy.safetensors"),
         ({"robot": "dds", "sim.drift": 1}, "sim.* is for robot=memory"),
         ({"speed": 2}, "speed has no meaning with robot=memory"),
         ({"max_linear": 0}, "max_linear=0.0 is not allowed"),
