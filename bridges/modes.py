@@ -149,9 +149,12 @@ class Session:
         with TurtleBot3(self._world.link, self._world.clock, self._rules) as robot:
             header = self._header(driver, noise, robot.command_type)
             recorder = Recorder(self.out / name, header)
+            virtual = self._config.robot == "memory"
             progress = people.Progress(
-                name, self._config.episodes, self._zone, driver.control_period
+                name, self._config.episodes, self._zone, driver.control_period, virtual
             )
+            if not virtual:
+                print(f"connected to the robot, which takes {robot.command_type}", flush=True)
             faults = 0
             while recorder.whole < self._config.episodes:
                 episode = self._one(robot, self._world, driver, recorder, progress, noise)
@@ -183,6 +186,12 @@ class Session:
             episode = drive.run(self._signals.reason, progress.show)
             recorder.add(episode)
             progress.end(episode)
+            if noise and not self._config.dry_run and people.stood_still(episode):
+                print(
+                    "note: the robot stood still in this episode; if it does in all of them, "
+                    "adaptation learns from the demonstration alone",
+                    flush=True,
+                )
         return episode
 
     def _put_back(self, robot: TurtleBot3) -> None:

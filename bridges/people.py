@@ -6,6 +6,8 @@ import sys
 import time
 from collections.abc import Callable
 
+import numpy as np
+
 from bridges.bundle import Zone
 from bridges.episodes import Episode
 from bridges.messages import BridgeError
@@ -15,6 +17,7 @@ from bridges.world import Drivable
 
 Ask = Callable[[str], None]  # puts a question, returns when somebody lets it go on
 
+STILL = 0.05  # m from its start within which a robot stands, as far as anybody can tell
 SHOW_EVERY = 0.1  # real s at least between changes of the line
 
 
@@ -46,6 +49,12 @@ def confirm_motion(bundle: Drivable, zone: Zone) -> str:
     )
 
 
+def stood_still(episode: Episode) -> bool:
+    """Whether a robot stayed where it was for a whole episode."""
+    points = np.array([*(step.obs for step in episode.steps), episode.last_pose])[:, :2]
+    return episode.whole and bool(np.max(np.hypot(*(points - points[0]).T)) < STILL)
+
+
 class Progress:
     """A line that changes while a robot drives, on a terminal, and one for each episode.
 
@@ -54,10 +63,14 @@ class Progress:
         of: how many whole episodes there shall be.
         zone: the task's.
         period: s a control step.
+        virtual: the robot takes no time, so nobody waits for an episode's end.
     """
 
-    def __init__(self, what: str, of: int, zone: Zone, period: float) -> None:
+    def __init__(
+        self, what: str, of: int, zone: Zone, period: float, virtual: bool = False
+    ) -> None:
         self._what, self._of, self._zone, self._period = what, of, zone, period
+        self._virtual = virtual
         self._live = sys.stdout.isatty()
         self._shown = -SHOW_EVERY
         self._done = 0
@@ -65,6 +78,12 @@ class Progress:
     def begin(self, done: int) -> None:
         """An episode begins, after `done` whole ones."""
         self._done = done
+        if not self._virtual:
+            most = self._zone.horizon * self._period
+            print(
+                f"{self._what}: episode {done + 1} of {self._of} begins, at most {most:g} s",
+                flush=True,
+            )
 
     def show(self, episode: Episode) -> None:
         """Shows how far the episode has come."""

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import re
 import signal
 import subprocess
 import sys
@@ -397,3 +398,32 @@ def test_every_inner_step_has_a_recording_of_its_own(main: Run, tmp_path: Path) 
     ]
     assert hashes == [one.content_sha256 for one in (policy, between, made)]
     assert main(episodes=2) == 0  # finds all of it
+
+
+def test_a_robot_in_real_time_is_told_of_before_an_episode_ends(
+    main: Run, fake: FakeRobot, capsys: pytest.CaptureFixture[str]
+) -> None:
+    said: list[str] = []
+
+    def listen(now: float, odometry: Any) -> Any:
+        if odometry.linear and not said:
+            said.append(capsys.readouterr().out)
+        return [odometry]
+
+    fake.change = listen
+    assert main("--yes", robot="dds", mode="collect", episodes=1) == 0
+
+    (before,) = said
+    assert "connected to the robot, which takes geometry_msgs/msg/TwistStamped\n" in before
+    assert re.search(r"recording_0: episode 1 of 1 begins, at most \d+ s\n", before)
+
+
+@pytest.mark.parametrize(("speed", "told"), [(-1.0, True), (0.9, False)])
+def test_a_robot_that_stood_still_while_collecting_is_told(
+    main: Run, tmp_path: Path, capsys: pytest.CaptureFixture[str], speed: float, told: bool
+) -> None:
+    still = robot_bundles.constant((speed, 0.0), log_std=-6.0)
+    bundle.write(tmp_path / "policy.safetensors", still)
+    assert main(mode="collect", episodes=1) == 0
+
+    assert ("the robot stood still in this episode" in capsys.readouterr().out) == told
