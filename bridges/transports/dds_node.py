@@ -81,7 +81,8 @@ class Node:
             and endpoint.participant_key != ours
             and endpoint.topic_name.startswith("rt/")
         ]
-        types = {(kind, e.topic_name[2:], _ros_type(e.type_name)) for kind, e in found}
+        ends = {(kind, e.topic_name[2:], _ros_type(e.type_name), str(e.key)) for kind, e in found}
+        types = {end[:3] for end in ends}
         commands = names.topic(self._settings, names.COMMANDS)
         odometry = names.topic(self._settings, names.ODOMETRY)
         topics: dict[str, set[str]] = {}
@@ -89,7 +90,7 @@ class Node:
             topics.setdefault(name, set()).add(ros_type)
         return Seen(
             {t for kind, name, t in types if (kind, name) == ("sub", commands)},
-            ("pub", odometry, ODOMETRY) in types,
+            sum(end[:3] == ("pub", odometry, ODOMETRY) for end in ends),
             {name: ", ".join(sorted(each)) for name, each in topics.items()},
         )
 

@@ -20,7 +20,7 @@ class Seen(NamedTuple):
     """What discovery shows at a moment."""
 
     command_types: Set[str]  # that somebody takes at our command topic, ROS names
-    odometry: bool  # somebody publishes it at our topic
+    odometry: int  # how many publish it at our topic
     topics: Mapping[str, str]  # all that others have: name, types
 
 
@@ -49,7 +49,7 @@ def find_robot(
 
     Raises:
         TransportError: no robot is there in time, it takes another type of command than the
-            settings', or it is not clear which.
+            settings', it is not clear which, or there are several robots.
     """
     deadline = time.monotonic() + settings.connect_timeout
     wanted = TYPES.get(settings.command_type)
@@ -57,7 +57,8 @@ def find_robot(
 
     def found() -> bool:
         seen = look()
-        if not (seen.command_types and seen.odometry):
+        # of two, one may be a robot that was killed: it is seen for some seconds more
+        if not (seen.command_types and seen.odometry == 1):
             return False
         first.append(time.monotonic())
         return wanted in seen.command_types or first[-1] - first[0] >= settle
@@ -66,6 +67,12 @@ def find_robot(
     seen = look()
     if not seen.command_types or (not seen.odometry and wanted in (None, *seen.command_types)):
         raise TransportError(_nobody(seen, settings, place))
+    if seen.odometry > 1:
+        raise TransportError(
+            f"{seen.odometry} robots publish {topic(settings, ODOMETRY)} in {place}: all would be "
+            "driven, and their odometry mixed. Give each a namespace (link.namespace) or a domain "
+            "(link.domain_id) of its own; one that was ended just now is gone in a few seconds"
+        )
     return _chosen(seen.command_types, settings)
 
 

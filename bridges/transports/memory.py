@@ -86,7 +86,7 @@ class MemoryLink(ReceivingLink):
     def _look(self) -> Seen:
         ends = self._ends()
         topics = {f"{e.place[1]}": e.command_type for e in tuple(self._wire.ends)}
-        return Seen({end.command_type for end in ends}, bool(ends), topics)
+        return Seen({end.command_type for end in ends}, len(ends), topics)
 
 
 class MemoryEnd(ReceivingEnd):

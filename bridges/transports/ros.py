@@ -236,7 +236,7 @@ class _Session:
     def look(self) -> Seen:
         """What the ROS graph shows."""
         node = self.node
-        odometry = {publisher.topic_type for publisher in self._publishers()}
+        odometry = [publisher.topic_type for publisher in self._publishers()]
         ours = {names.RESET} if odometry else {names.RESET, names.ODOMETRY}
         hidden = {node.resolve_topic_name(name) for name in ours}
         topics = {
@@ -246,7 +246,7 @@ class _Session:
         }
         # rclpy need not remap what is asked for
         listeners = node.get_subscriptions_info_by_topic(node.resolve_topic_name(names.COMMANDS))
-        return Seen({e.topic_type for e in listeners}, _ODOMETRY in odometry, topics)
+        return Seen({e.topic_type for e in listeners}, odometry.count(_ODOMETRY), topics)
 
     def check_odometry(self) -> None:
         """Refuses odometry that our subscription does not match.

@@ -206,3 +206,16 @@ def test_a_program_ends_that_closes_nothing(domain: int) -> None:
     )
 
     assert (done.returncode, done.stderr) == (7, "")
+
+
+def test_two_robots_of_the_same_name_are_refused(domain: int) -> None:
+    ends = [DdsEnd(LinkSettings(domain, namespace="twins"), RealClock()) for _ in range(2)]
+    for end in ends:
+        end.open()
+    link = DdsLink(LinkSettings(domain, namespace="twins", connect_timeout=1.0), RealClock())
+    with pytest.raises(TransportError, match=f"2 robots publish /twins/odom in domain {domain}"):
+        link.open()
+    ends.pop().close()
+    link.open()  # now there is one
+    link.close()
+    ends.pop().close()

@@ -16,7 +16,7 @@ from bridges.transports.discovery import Seen, find_robot
 SETTINGS = LinkSettings(connect_timeout=0.3)
 
 
-def seen(*types: str, odometry: bool = True, topics: int = 0) -> Callable[[], Seen]:
+def seen(*types: str, odometry: int = 1, topics: int = 0) -> Callable[[], Seen]:
     listed = {f"/topic{i:02}": "std_msgs/msg/String" for i in range(topics)}
     return lambda: Seen(set(types), odometry, listed | {"/rosout": "rcl_interfaces/msg/Log"})
 
@@ -61,9 +61,26 @@ def test_somebody_who_watches_with_another_type_does_not_confuse() -> None:
 
 
 def test_a_robot_without_odometry_is_none() -> None:
-    words = refused(seen(TWIST, odometry=False))
+    words = refused(seen(TWIST, odometry=0))
 
     assert "nobody publishes nav_msgs/msg/Odometry at /odom in domain 7" in words
+
+
+def test_two_robots_are_refused_by_the_topic_and_the_domain() -> None:
+    words = refused(seen(TWIST, odometry=2), LinkSettings(namespace="lab", connect_timeout=0.1))
+
+    assert "2 robots publish /lab/odom in domain 7" in words
+    assert "link.namespace" in words
+
+
+def test_a_robot_that_takes_the_place_of_a_killed_one_is_waited_for() -> None:
+    began = time.monotonic()
+
+    def look() -> Seen:
+        return seen(TWIST, odometry=2 if time.monotonic() - began < 0.15 else 1)()
+
+    assert find_robot(look, SETTINGS, "", settle=0.05) == TWIST
+    assert time.monotonic() - began > 0.15
 
 
 def test_a_type_that_the_bridge_does_not_send_is_named() -> None:
