@@ -23,7 +23,7 @@ from cyclonedds.core import Policy
 from cyclonedds.domain import DomainParticipant
 
 from bridges.clock import RealClock
-from bridges.messages import TWIST, Command
+from bridges.messages import TWIST, TWIST_STAMPED, Command
 from bridges.transports.base import LinkSettings, TransportError
 from bridges.transports.dds import DdsEnd, DdsLink
 from bridges.transports.dds_network import configuration
@@ -206,6 +206,28 @@ def test_a_program_ends_that_closes_nothing(domain: int) -> None:
     )
 
     assert (done.returncode, done.stderr) == (7, "")
+
+
+def test_who_watches_with_another_type_is_told_from_the_robot_by_the_setting(domain: int) -> None:
+    robot = DdsEnd(LinkSettings(domain, "watched"), RealClock())
+    robot.open()
+    watcher = Node(LinkSettings(domain, "watched"))
+    watcher.reader("cmd_vel", TWIST, lambda _: None)
+    watcher.start()
+    link = DdsLink(LinkSettings(domain, "watched", connect_timeout=10.0), RealClock())
+    with pytest.raises(TransportError) as error:
+        link.open()
+    settings = LinkSettings(domain, "watched", command_type="twist_stamped", connect_timeout=10.0)
+    named = DdsLink(settings, RealClock())
+    named.open()
+    assert named.command_type == TWIST_STAMPED
+    named.close()
+    watcher.close()
+    robot.close()
+
+    words = str(error.value)
+    assert f"both {TWIST} and {TWIST_STAMPED} are taken at /watched/cmd_vel" in words
+    assert "command_type=twist" in words
 
 
 def test_two_robots_of_the_same_name_are_refused(domain: int) -> None:

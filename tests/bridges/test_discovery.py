@@ -52,7 +52,7 @@ def test_the_wanted_type_needs_no_further_look() -> None:
     began = time.monotonic()
     settings = LinkSettings(command_type="twist")
 
-    assert find_robot(seen(TWIST), settings, "", settle=60.0) == TWIST
+    assert find_robot(seen(TWIST, TWIST_STAMPED), settings, "", settle=60.0) == TWIST
     assert time.monotonic() - began < 10
 
 

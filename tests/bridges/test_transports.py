@@ -25,7 +25,7 @@ from bridges.transports.memory import MemoryEnd
 from tests.bridges.conftest import echo_robots
 
 # where the robots are, and what they take
-ROBOTS = (":twist_stamped", "other:twist", "both:twist", "both:twist_stamped")
+ROBOTS = (":twist_stamped", "other:twist", "twins:twist", "twins:twist_stamped")
 LIMIT = 5.0  # s that nothing here may take; mostly it is some ms
 
 
@@ -90,8 +90,6 @@ def answers(link: RobotLink, number: int) -> list[Odometry]:
         ("", "auto", TWIST_STAMPED),
         ("other", "auto", TWIST),
         ("/other/", "twist", TWIST),
-        ("both", "twist", TWIST),
-        ("both", "twist_stamped", TWIST_STAMPED),
     ],
 )
 def test_the_robots_type_of_command_is_found_out(
@@ -122,11 +120,12 @@ def test_another_type_of_command_is_refused(transport: str, domain: int) -> None
     assert f"takes {TWIST_STAMPED} at /cmd_vel, not {TWIST}" in words
 
 
-def test_two_types_of_command_are_not_guessed_between(transport: str, domain: int) -> None:
-    words = refusal(transport, LinkSettings(domain, "both"))
+def test_two_robots_in_one_place_are_refused(transport: str, domain: int) -> None:
+    for wanted in ("auto", "twist"):
+        settings = LinkSettings(domain, "twins", command_type=wanted, connect_timeout=1.0)
+        words = refusal(transport, settings)
 
-    assert f"both {TWIST} and {TWIST_STAMPED} are taken at /both/cmd_vel" in words
-    assert "command_type=twist" in words
+        assert f"2 robots publish /twins/odom in domain {domain}" in words
 
 
 def test_where_nobody_is_that_is_told(transport: str, domain: int) -> None:
