@@ -201,3 +201,15 @@ def test_a_ros_that_does_not_start_is_told(
     with pytest.raises(TransportError, match="rclpy does not join domain 7: no middleware"):
         ends()
     assert ros.names() == ["context.try_shutdown"]
+
+
+def test_two_robots_of_the_same_name_are_refused(ros: rclpy_stand_in.Ros) -> None:
+    settings = LinkSettings(7, connect_timeout=0.3)
+    robots = [choice.end("auto", settings, RealClock()) for _ in range(2)]
+    for robot in robots:
+        robot.open()
+    link = choice.link("auto", settings, RealClock())
+    with pytest.raises(TransportError, match="2 robots publish /odom in domain 7"):
+        link.open()
+    for robot in robots:
+        robot.close()
