@@ -52,7 +52,7 @@ def draw(planned: Sequence[Study], config: ReproduceConfig, console: Console) ->
             name = "adaptation_steps"
             write_text(out / f"{name}.csv", tables.adaptation_csv(compared, config.steps))
             write_text(out / f"{name}.md", tables.adaptation_markdown(compared, config.steps))
-    write_json(out / "study.json", _origin(loaded.runs, config))
+    write_json(out / "study.json", _origin(loaded.runs, planned, config))
     tell(console, f"{out}: figures, tables ({RESULTS}.md, .csv), {REPORTS[RESULTS]}")
 
 
@@ -93,7 +93,9 @@ def _grouped(loaded: Loaded, own: Sequence[Program]) -> Grouped:
     return group_runs(Loaded([run for run in loaded.runs if run.path in paths], []))
 
 
-def _origin(runs: Sequence[Run], config: ReproduceConfig) -> dict[str, object]:
+def _origin(
+    runs: Sequence[Run], planned: Sequence[Study], config: ReproduceConfig
+) -> dict[str, object]:
     """Where the figures come from, and what they took."""
     return {
         "command": typed_command(),
@@ -102,5 +104,5 @@ def _origin(runs: Sequence[Run], config: ReproduceConfig) -> dict[str, object]:
         "seeds": config.seeds,
         "runs": len(runs),
         "env_steps": sum(float(run.metrics["sampling/env_steps"][-1]) for run in runs),
-        **took(Path(config.out) / "runs"),
+        **took(Path(config.out) / "runs", programs(planned)),
     }

@@ -97,14 +97,20 @@ class _Job:
                 self._process.send_signal(signal.SIGTERM)
 
 
-def took(runs: Path) -> dict[str, float]:
-    """Hours that processes took for the runs of a folder, trainings and evaluations together.
+def took(runs: Path, programs: Sequence[Program]) -> dict[str, float]:
+    """Hours that processes took for programs, trainings and evaluations together.
 
     Also of those that were stopped or failed; each was on a core of its own, or on all.
+
+    Args:
+        runs: the folder of the programs' folders, with the ledger.
+        programs: whose time is wanted; others of the folder are not counted.
     """
+    names = {program.name for program in programs}
     ledger = runs / LEDGER
     lines = ledger.read_text().splitlines() if ledger.is_file() else []
     entries = [entry for line in lines if (entry := _entry(line)) is not None]
+    entries = [entry for entry in entries if entry.get("program") in names]
     return {
         "process_hours": sum(entry["wall_s"] for entry in entries) / 3600,
         "cpu_hours": sum(entry["cpu_s"] for entry in entries) / 3600,
