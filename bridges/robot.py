@@ -4,28 +4,25 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
-from contextlib import AbstractContextManager, suppress
-from dataclasses import dataclass
+from contextlib import AbstractContextManager
 from typing import NamedTuple
 
 import numpy as np
 
 from bridges.clock import Clock, RealClock
-from bridges.messages import STOP, BridgeError, Command, Odometry
+from bridges.commander import SOON, Commander, RobotRules
+from bridges.messages import BridgeError, Command, Odometry
 from bridges.minder import Minder
-from bridges.safety import Fault, Limits, RobotFault, wrapped
-from bridges.tracking import Guard, Tracker, check_clocks
+from bridges.safety import Fault, RobotFault, wrapped
+from bridges.tracking import Tracker, check_clocks
 from bridges.transports.base import RobotLink
 
-STOPS = 5  # zero velocities that are sent to stop: some may get lost
-BETWEEN_STOPS = 0.02  # s
 CLOCK_WINDOW = 1.0  # s over which the speed of the robot's clock is measured
 SAME_PLACE = (0.1, 0.2)  # m and rad that a robot may be off its start after a reset
 RESET_TAKES = 0.3  # s before which odometry may still be from before a reset
 RESET_SHOWS = 1.0  # s in which a reset shows in odometry; then it is asked for again
 RESTS = 1.0  # s at most that zero velocity is sent on leaving, until odometry shows it
 AT_REST = (0.01, 0.1)  # m/s and rad/s that odometry may show of a robot that stands
-SOON = 1e-6  # s: a moment this near has come
 
 
 class Observation(NamedTuple):
@@ -33,29 +30,6 @@ class Observation(NamedTuple):
 
     pose: np.ndarray  # [3] float32: x (m), y (m), theta (rad, continuous), since `begin`
     age: float  # s, of the odometry that it is made of
-
-
-@dataclass(frozen=True)
-class RobotRules:
-    """How a robot is driven.
-
-    Attributes:
-        limits: of its commands.
-        guard: of its odometry.
-        injected: rad/s that are added to every action.
-        tick: s between repetitions of a command, which robots with a command timeout need.
-        patience: s to wait for odometry before it is given up.
-        from_start: poses are seen from where the episode began; otherwise as odometry has them.
-        dry_run: publish nothing.
-    """
-
-    limits: Limits
-    guard: Guard
-    injected: float = 0.0
-    tick: float = 0.05
-    patience: float = 10.0
-    from_start: bool = True
-    dry_run: bool = False
 
 
 class TurtleBot3(AbstractContextManager):
@@ -68,20 +42,17 @@ class TurtleBot3(AbstractContextManager):
 
     Attributes:
         odometry: all that arrived since `begin`.
-        commands: all that was published since `begin`, with the clock's time of each.
     """
 
     def __init__(self, link: RobotLink, clock: Clock, rules: RobotRules) -> None:
         self._link, self._clock, self._rules = link, clock, rules
         self.odometry: list[Odometry] = []
-        self.commands: list[tuple[float, Command]] = []
+        self._commander = Commander(link, clock, rules)
         self._tracker = Tracker(rules.guard)
         self._home: Odometry | None = None  # where a reset brings it
-        self._target = self._sent = STOP
-        self._sent_at = -math.inf
         self._connected = False
         patience = rules.guard.watchdog if isinstance(clock, RealClock) else None
-        self._minder = Minder(self._brake, patience)
+        self._minder = Minder(self._commander.brake, patience)
 
     def __enter__(self) -> TurtleBot3:
         self.connect()
@@ -94,6 +65,11 @@ class TurtleBot3(AbstractContextManager):
     def command_type(self) -> str:
         """What commands are sent as, one of `bridges.messages.COMMAND_TYPES`."""
         return self._link.command_type
+
+    @property
+    def commands(self) -> list[tuple[float, Command]]:
+        """All that was published since `begin`, with the clock's time of each."""
+        return self._commander.sent
 
     def connect(self) -> None:
         """Finds the robot, and compares its clock with ours.
@@ -123,10 +99,9 @@ class TurtleBot3(AbstractContextManager):
             RobotFault: there is none that can be trusted, or it is outside the geofence.
         """
         self.go_on()
-        self._target = self._sent = STOP
-        self._sent_at = -math.inf
         self._await_odometry()
-        self.odometry, self.commands = self.odometry[-1:], []
+        self._commander.begin()
+        self.odometry = self.odometry[-1:]
         if self._rules.from_start:
             self._tracker.start_here()
         if fault := self.check():
@@ -160,10 +135,9 @@ class TurtleBot3(AbstractContextManager):
         if fault := self.check():
             self.stop()
             raise RobotFault(fault)
-        asked = Command(float(action[0]), float(action[1]) + self._rules.injected)
-        self._target = self._rules.limits.clamp(asked)
+        self._commander.aim(action)
         self._minder.watch()
-        return self._advance()
+        return self._commander.advance()
 
     def hold(
         self, until: float, interrupted: Callable[[], str | None] = lambda: None
@@ -183,10 +157,9 @@ class TurtleBot3(AbstractContextManager):
             if fault := (Fault("interrupted", reason) if reason else self.check()):
                 self.stop()
                 return fault
-            now = self._clock.now()
             # at the last moment the next action is sent instead
-            if now - self._sent_at > self._rules.tick - SOON and now < until - SOON:
-                self._advance()
+            if self._commander.is_due() and self._clock.now() < until - SOON:
+                self._commander.advance()
         return None
 
     def check(self) -> Fault | None:
@@ -203,11 +176,7 @@ class TurtleBot3(AbstractContextManager):
         Raises:
             Exception: the last one could not be sent, whatever has kept it from being sent.
         """
-        self._target = STOP
-        for left in reversed(range(STOPS)):
-            with suppress(*(Exception,) * bool(left)):
-                self._publish(STOP)
-            self._clock.sleep_until(self._clock.now() + BETWEEN_STOPS)
+        self._commander.stop()
         self._minder.rest()
 
     def reset(self) -> None:
@@ -275,8 +244,7 @@ class TurtleBot3(AbstractContextManager):
                 speeds = (newest.linear, newest.angular)
                 if all(abs(x) < most for x, most in zip(speeds, AT_REST, strict=True)):
                     return
-            with suppress(Exception):  # it may go through a moment later
-                self._publish(STOP)
+            self._commander.stop_again()
 
     def _listen(self, until: float) -> None:
         """Takes odometry up to a moment."""
@@ -289,21 +257,3 @@ class TurtleBot3(AbstractContextManager):
         messages = self._link.take()
         self.odometry += messages
         self._tracker.take(messages)
-
-    def _advance(self) -> Command:
-        """Sends what comes nearest to the action by now."""
-        passed = min(self._clock.now() - self._sent_at, self._rules.tick)
-        return self._publish(self._rules.limits.toward(self._target, self._sent, passed))
-
-    def _publish(self, command: Command) -> Command:
-        self._sent, self._sent_at = command, self._clock.now()
-        if not self._rules.dry_run:
-            self._link.send(command)
-            self.commands.append((self._sent_at, command))
-        return command
-
-    def _brake(self) -> None:
-        """Zero velocity, on the minder's thread."""
-        if not self._rules.dry_run:
-            self._link.send(STOP)
-            self.commands.append((self._clock.now(), STOP))

@@ -8,8 +8,8 @@ from typing import Any, NamedTuple, Protocol
 
 from bridges.bundle import Action, Environment, Observation, Zone
 from bridges.clock import Clock, RealClock, VirtualClock
+from bridges.commander import RobotRules
 from bridges.messages import BridgeError
-from bridges.robot import RobotRules
 from bridges.run_settings import RunConfig
 from bridges.safety import limits_of
 from bridges.settings import SettingError

@@ -6,8 +6,8 @@ import math
 from collections.abc import Callable, Sequence
 
 from bridges.clock import VirtualClock
+from bridges.commander import RobotRules
 from bridges.messages import STOP, TWIST_STAMPED, Command, Odometry
-from bridges.robot import RobotRules
 from bridges.safety import Limits, limits_of
 from bridges.tracking import Guard
 

@@ -8,8 +8,9 @@ from typing import Any
 import numpy as np
 import pytest
 
+from bridges.commander import STOPS
 from bridges.messages import STOP, BridgeError, Command, Odometry
-from bridges.robot import STOPS, TurtleBot3
+from bridges.robot import TurtleBot3
 from bridges.safety import RobotFault, limits_of
 from bridges.tracking import Guard, Tracker
 from bridges.transports.base import TransportError
