@@ -100,32 +100,49 @@ def meta_learner(
     The optimizer's curvature is computed on each `curvature_every`-th of the steps that exist.
     """
 
-    def init(key: jax.Array) -> MetaState:
-        params = policy.init(key)
-        return MetaState(params, optimizer.init(params))
+    parts = _Parts(policy, inner_steps, collect, outer_loss, optimizer, curvature_every)
+    halves = Halves(parts.gather, parts.objective, parts.improve)
+    return MetaLearner(policy, parts.init, parts.adapt, _compiled(halves), halves)
 
-    def adapt_one(
-        params: Params, key: jax.Array, task: Task, demos: Demos, collect: Collect
+
+class _Parts(NamedTuple):
+    """What a meta-learner is assembled of; its methods are the learner's functions."""
+
+    policy: Policy
+    inner_steps: InnerSteps
+    collect: Collect
+    outer_loss: OuterLoss
+    optimizer: OuterOptimizer
+    curvature_every: int
+
+    def init(self, key: jax.Array) -> MetaState:
+        params = self.policy.init(key)
+        return MetaState(params, self.optimizer.init(params))
+
+    def adapt(
+        self, params: Params, key: jax.Array, task: Task, demos: Demos, collect: Collect
     ) -> Adapted:
-        return adapt(policy, inner_steps, collect, params, key, task, demos)
+        return adapt(self.policy, self.inner_steps, collect, params, key, task, demos)
 
-    def gather_one(params: Params, key: jax.Array, task: Task, demos: Demos) -> Experience:
+    def experience(self, params: Params, key: jax.Array, task: Task, demos: Demos) -> Experience:
         adapt_key, outer_key = jax.random.split(key)
-        adapted = adapt_one(params, adapt_key, task, demos, collect)
-        return Experience(adapted.rollouts, collect(adapted.params, outer_key, task))
+        adapted = self.adapt(params, adapt_key, task, demos, self.collect)
+        return Experience(adapted.rollouts, self.collect(adapted.params, outer_key, task))
 
     def gather(
-        params: Params, keys: jax.Array, tasks: Task, demos: Demos, axis: str | None
+        self, params: Params, keys: jax.Array, tasks: Task, demos: Demos, axis: str | None
     ) -> Gathered:
-        experience = jax.vmap(gather_one, in_axes=(None, 0, 0, 0))(params, keys, tasks, demos)
+        each_task = jax.vmap(self.experience, in_axes=(None, 0, 0, 0))
+        experience = each_task(params, keys, tasks, demos)
         metrics = mean_over_devices(_episode_metrics(experience), axis)
-        if not outer_loss.idle_steps:
+        if not self.outer_loss.idle_steps:
             # adaptation weighs steps by their advantage, the trust region does not
             experience = _without_idle_steps(experience)
         most = jax.tree.map(lambda r: jnp.max(living_steps(r)), experience, is_leaf=_is_rollout)
         return Gathered(experience, max_over_devices(most, axis), metrics)
 
     def objective(
+        self,
         experience: Experience,
         demos: Demos,
         outer_demos: OuterDemos,
@@ -135,9 +152,10 @@ def meta_learner(
     ) -> Objective:
         steps = _gather_living(experience, sizes, every)
         shown = demos if outer_demos is None else outer_demos
-        return _objective(policy, inner_steps, outer_loss, steps, demos, shown, axis)
+        return _objective(self.policy, self.inner_steps, self.outer_loss, steps, demos, shown, axis)
 
     def improve(
+        self,
         state: MetaState,
         experience: Experience,
         demos: Demos,
@@ -146,16 +164,15 @@ def meta_learner(
         axis: str | None,
     ) -> tuple[MetaState, Metrics]:
         exact, sampled = (
-            objective(experience, demos, outer_demos, sizes, axis, every)
-            for every in (1, curvature_every)
+            self.objective(experience, demos, outer_demos, sizes, axis, every)
+            for every in (1, self.curvature_every)
         )
-        params, opt_state, metrics = optimizer.update(exact, sampled, state.params, state.opt_state)
+        params, opt_state, metrics = self.optimizer.update(
+            exact, sampled, state.params, state.opt_state
+        )
         params = mean_over_devices(params, axis)  # equal up to rounding: they must not drift apart
         size = jnp.linalg.norm(ravel_pytree(params)[0])
         return MetaState(params, opt_state), {**metrics, "outer/params_norm": size}
-
-    halves = Halves(gather, objective, improve)
-    return MetaLearner(policy, init, adapt_one, _compiled(halves), halves)
 
 
 def _objective(
