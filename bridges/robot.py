@@ -96,7 +96,7 @@ class TurtleBot3(AbstractContextManager):
 
         Raises:
             BridgeError: there is no odometry.
-            RobotFault: there is none that can be trusted, or it is outside the geofence.
+            RobotFault: there is none that can be trusted, or it is outside arena or room.
         """
         self.go_on()
         self._await_odometry()

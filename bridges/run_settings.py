@@ -62,6 +62,11 @@ class RunConfig:
     max_angular: float = setting(ROBOT_ANGULAR, "rad/s that the robot may be told", above=0)
     linear_acceleration: float = setting(2.5, "m/s^2 at most between commands", above=0)
     angular_acceleration: float = setting(31.25, "rad/s^2 at most between commands", above=0)
+    room: list[float] | None = setting(
+        None,
+        "[x from, x to, y from, y to] in m, of the poses that the policy sees: where there is "
+        "room for the robot; outside it is stopped. null: the environment's whole arena",
+    )
     origin: str = setting(
         "start",
         "where the policy sees the robot from: the pose at the episode's start, or odometry's own "

@@ -22,7 +22,7 @@ JUMP_FACTOR = 1.5  # times the robot's speed limits that still count as driving
 class Fault(NamedTuple):
     """Why a robot may not be driven on."""
 
-    reason: str  # "stale", "not finite", "out of order", "jump", "arena", "stalled", ..
+    reason: str  # "stale", "not finite", "out of order", "jump", "arena", "room", "stalled", ..
     detail: str  # for people
 
 
@@ -125,11 +125,23 @@ def fault_of(
     return _jumped(previous, odometry, passed, max_linear, max_angular)
 
 
-def stale(age: float, watchdog: float) -> Fault | None:
-    """A fault if the newest odometry is older than allowed, in s."""
+def stale(arrived: float, age: float, watchdog: float) -> Fault | None:
+    """A fault if the newest odometry is older than allowed.
+
+    Args:
+        arrived: s since it came.
+        age: s since it was made; not less, for it may have been held up on its way.
+        watchdog: s that are allowed.
+    """
     if age <= watchdog:
         return None
-    return Fault("stale", f"no odometry for {age:.2f} s; allowed: {watchdog:g} s")
+    if not arrived <= watchdog:
+        return Fault("stale", f"no odometry for {arrived:.2f} s; allowed: {watchdog:g} s")
+    return Fault(
+        "stale",
+        f"odometry comes, but {age:.2f} s old by its stamps; allowed: {watchdog:g} s. Either the "
+        "network holds it up, or the robot's clock is slower than this one",
+    )
 
 
 def wrapped(angle: float) -> float:

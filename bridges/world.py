@@ -15,7 +15,7 @@ from bridges.safety import limits_of
 from bridges.settings import SettingError
 from bridges.simulation.robot import SimulatedRobot
 from bridges.simulation.settings import SimulatedRobotSettings
-from bridges.tracking import Guard
+from bridges.tracking import Guard, Room
 from bridges.transports import choice, memory
 from bridges.transports.base import RobotLink
 
@@ -100,9 +100,10 @@ def rules_of(config: RunConfig, bundle: Drivable) -> RobotRules:
     """How a robot is driven by this bundle's policy.
 
     Raises:
-        BridgeError: its limits and the robot's exclude each other, or it drives something else.
+        BridgeError: its limits and the robot's exclude each other, it drives something else, or
+            its goal is outside the room.
     """
-    arena, low, high = zone_of(bundle).arena, bundle.action.low, bundle.action.high
+    zone, low, high = zone_of(bundle), bundle.action.low, bundle.action.high
     injected = config.residual_angular_velocity / bundle.control_period
     limits = limits_of(
         (low[0], low[1]),
@@ -115,7 +116,8 @@ def rules_of(config: RunConfig, bundle: Drivable) -> RobotRules:
     )
     # what a robot that was told too much by another may drive is more than it may be told by us
     fastest = (max(config.max_linear, high[0]), max(config.max_angular, high[1]))
-    guard = Guard(config.watchdog, *fastest, math.inf if arena is None else arena)
+    arena = math.inf if zone.arena is None else zone.arena
+    guard = Guard(config.watchdog, *fastest, arena, room_of(config.room, zone))
     return RobotRules(
         limits,
         guard,
@@ -124,6 +126,24 @@ def rules_of(config: RunConfig, bundle: Drivable) -> RobotRules:
         from_start=config.origin == "start",
         dry_run=config.dry_run,
     )
+
+
+def room_of(numbers: list[float] | None, zone: Zone) -> Room:
+    """Where there is room for the robot.
+
+    Raises:
+        SettingError: the numbers are no rectangle, or the goal is outside it.
+    """
+    if numbers is None:
+        return Room()
+    if len(numbers) != 4 or numbers[0] >= numbers[1] or numbers[2] >= numbers[3]:
+        raise SettingError(
+            f"room={numbers} is not allowed: it must be [x from, x to, y from, y to] in m"
+        )
+    room = Room(*numbers)
+    if not room.holds(zone.goal[0], zone.goal[1]):
+        raise SettingError(f"room={numbers} leaves out the goal, which is at {list(zone.goal)} m")
+    return room
 
 
 def driving_settings(config: RunConfig) -> dict[str, Any]:

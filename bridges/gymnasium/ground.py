@@ -19,7 +19,8 @@ from emrld_jax.runs.usage import did_you_mean
 REWARDS = ("sparse", "dense")
 SETTINGS = (  # of bridges.run
     *("reset", "yes", "dry_run", "residual_angular_velocity", "watchdog", "max_linear"),
-    *("max_angular", "linear_acceleration", "angular_acceleration", "origin", "speed"),
+    *("max_angular", "linear_acceleration", "angular_acceleration", "room", "origin"),
+    "speed",
     *("link", "sim"),
 )
 SECTIONS = {"link": LinkSettings, "sim": SimulatedRobotSettings}

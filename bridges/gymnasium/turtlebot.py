@@ -46,8 +46,8 @@ class TurtleBot3Env(gymnasium.Env[np.ndarray, np.ndarray]):
         horizon: steps of an episode, 100 unless said; not with a bundle.
         render_mode: "rgb_array" or None.
         **settings: of `bridges.run`: reset, yes, dry_run, residual_angular_velocity, watchdog,
-            max_linear, max_angular, linear_acceleration, angular_acceleration, origin, speed; and
-            as dictionaries link and sim.
+            max_linear, max_angular, linear_acceleration, angular_acceleration, room, origin, speed;
+            and as dictionaries link and sim.
 
     Raises:
         ValueError: an unknown setting, or an impossible value.

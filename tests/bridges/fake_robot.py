@@ -9,7 +9,7 @@ from bridges.clock import VirtualClock
 from bridges.commander import RobotRules
 from bridges.messages import STOP, TWIST_STAMPED, Command, Odometry
 from bridges.safety import Limits, limits_of
-from bridges.tracking import Guard
+from bridges.tracking import Guard, Room
 
 STEP = 0.01  # s
 EVERY = 3  # steps from one odometry to the next
@@ -94,12 +94,13 @@ def wide_limits() -> Limits:
 def rules(
     limits: Limits | None = None,
     watchdog: float = 0.5,
-    geofence: float = math.inf,
+    arena: float = math.inf,
+    room: Room | None = None,
     injected: float = 0.0,
     from_start: bool = True,
     dry_run: bool = False,
 ) -> RobotRules:
-    guard = Guard(watchdog, 0.22, 2.84, geofence)
+    guard = Guard(watchdog, 0.22, 2.84, arena, room or Room())
     return RobotRules(
         limits or wide_limits(),
         guard,

@@ -82,7 +82,7 @@ def test_leaving_the_arena_ends_an_episode_at_once() -> None:
     turned = robot_bundles.constant((1.0, 0.0), task=12)  # the goal is to the left
     fake = FakeRobot()
 
-    episode = driven(fake, steered(turned), turned, geofence=2.5)
+    episode = driven(fake, steered(turned), turned, arena=2.5)
 
     # 2.5 m at 0.22 m/s take 11.4 s: seen within a tick and an odometry, not at 11.5 s
     assert episode.ending == "arena"
@@ -103,7 +103,7 @@ def test_an_arena_that_is_left_before_the_next_action_was_left_by_the_step_befor
             fake.clock.sleep_until(fake.clock.now() + 0.48)
         return act(obs)
 
-    episode = driven(fake, slow, turned, geofence=2.5)
+    episode = driven(fake, slow, turned, arena=2.5)
 
     assert (episode.ending, len(episode.steps)) == ("arena", 22)
     assert (episode.steps[-1].done, episode.steps[-1].success) == (True, False)
@@ -121,7 +121,7 @@ def test_a_robot_that_is_outside_before_it_acts_is_no_whole_episode() -> None:
             fake.clock.sleep_until(fake.clock.now() + 0.1)
         return act(obs)
 
-    episode = driven(fake, pushed, geofence=0.3)
+    episode = driven(fake, pushed, arena=0.3)
 
     assert (episode.ending, episode.steps, episode.whole) == ("arena", (), False)
     assert problem_of(episode, 100) is None
@@ -129,9 +129,7 @@ def test_a_robot_that_is_outside_before_it_acts_is_no_whole_episode() -> None:
 
 
 def test_a_robot_that_may_not_begin_is_an_episode_without_steps() -> None:
-    episode = driven(
-        FakeRobot(start=(5.0, 0.0, 0.0)), steered(AHEAD), from_start=False, geofence=2.5
-    )
+    episode = driven(FakeRobot(start=(5.0, 0.0, 0.0)), steered(AHEAD), from_start=False, arena=2.5)
 
     assert (episode.ending, episode.steps, episode.whole) == ("arena", (), False)
     assert episode.last_pose == pytest.approx([5.0, 0.0, 0.0])

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
@@ -12,7 +13,7 @@ from bridges.commander import STOPS
 from bridges.messages import STOP, BridgeError, Command, Odometry
 from bridges.robot import TurtleBot3
 from bridges.safety import RobotFault, limits_of
-from bridges.tracking import Guard, Tracker
+from bridges.tracking import Guard, Room, Tracker
 from bridges.transports.base import TransportError
 from tests.bridges.fake_robot import FakeRobot, rules
 
@@ -113,14 +114,45 @@ def test_what_is_held_up_from_an_episodes_beginning_is_old_by_what_was_seen_befo
     robot.begin()
 
 
-def test_clocks_that_part_slowly_make_nothing_old() -> None:
-    tracker = Tracker(Guard(0.5, 0.22, 2.84, math.inf))
-    slow = 1 - 5e-5  # what its clock does in a second of ours
-    for moment in range(0, 20_000, 100):  # 1 s would be lost in all
-        tracker.forget()
-        tracker.take([Odometry(slow * moment, moment, 0, 0, 0, 0, 0)])
+def messages(rate: float, seconds: float, delay: Callable[[float], float]) -> list[Odometry]:
+    """At 10 Hz, by a robot's clock of another rate; `delay` is on the way, s."""
+    moments = [0.1 * k for k in range(round(10 * seconds))]
+    return [Odometry(rate * m, m + delay(m), 0, 0, 0, 0, 0) for m in moments]
 
-    assert tracker.age(moment) == pytest.approx(0, abs=1e-6)
+
+def test_clocks_that_part_make_nothing_old() -> None:
+    """A simulation that cannot keep up, for ten minutes, with jitter on the way."""
+    tracker = Tracker(Guard(0.5, 0.22, 2.84, math.inf))
+    for message in messages(0.97, 600, lambda m: 0.05 * math.sin(m) ** 2):
+        tracker.take([message])
+        assert tracker.check(message.received) is None
+
+
+def test_a_queue_that_grows_makes_odometry_old() -> None:
+    tracker = Tracker(Guard(0.5, 0.22, 2.84, math.inf))
+    tracker.take(messages(1.0, 3.0, lambda m: 0.0))
+    late = messages(1.0, 6.0, lambda m: 0.3 * max(0.0, m - 3.0))[30:]
+    faults = []
+    for message in late:
+        tracker.take([message])
+        faults.append(tracker.check(message.received))
+    assert faults[15] is None  # 0.45 s late
+    assert faults[-1] is not None
+    assert faults[-1].reason == "stale"
+    assert "odometry comes" in faults[-1].detail
+
+
+def test_a_clock_that_is_set_back_ends_one_episode_only() -> None:
+    tracker = Tracker(Guard(0.5, 0.22, 2.84, math.inf))
+    before = messages(1.0, 3.0, lambda m: 0.0)
+    after = [m._replace(stamp=m.stamp - 1.0) for m in messages(1.0, 6.0, lambda m: 0.0)[30:]]
+    tracker.take([*before, after[0]])
+    fault = tracker.check(3.0)
+    assert fault is not None
+    assert fault.reason == "out of order"
+    tracker.forget()
+    tracker.take(after[1:])
+    assert tracker.check(after[-1].received) is None
 
 
 @pytest.mark.parametrize(
@@ -161,14 +193,18 @@ def test_after_a_fault_another_episode_may_begin() -> None:
     assert drive(robot, fake, (0.1, 0.0), 1.0) is None
 
 
-def test_the_geofence_stops_the_robot() -> None:
+@pytest.mark.parametrize(
+    ("fence", "reason"),
+    [({"arena": 0.3}, "arena"), ({"arena": 2.5, "room": Room(-0.1, 0.3, -1.0, 1.0)}, "room")],
+)
+def test_the_geofence_stops_the_robot(fence: dict[str, Any], reason: str) -> None:
     fake = FakeRobot()
-    robot = connected(fake, geofence=0.3)
+    robot = connected(fake, **fence)
 
     fault = drive(robot, fake, (0.2, 0.0), 10.0)
 
     assert fault is not None
-    assert fault.reason == "arena"
+    assert fault.reason == reason
     assert 0.3 < fake.pose[0] < 0.3 + 0.2 * 0.15
     assert stops_at_the_end(fake) == STOPS
 

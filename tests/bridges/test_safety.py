@@ -104,6 +104,9 @@ def test_the_first_odometry_need_only_be_finite() -> None:
 
 
 def test_what_is_too_old_is_a_fault() -> None:
-    assert stale(0.5, 0.5) is None
-    assert stale(0.51, 0.5) == Fault("stale", "no odometry for 0.51 s; allowed: 0.5 s")
-    assert stale(math.nan, 0.5) is not None
+    assert stale(0.5, 0.5, 0.5) is None
+    assert stale(0.51, 0.51, 0.5) == Fault("stale", "no odometry for 0.51 s; allowed: 0.5 s")
+    late = stale(0.1, 0.6, 0.5)
+    assert late is not None
+    assert late.detail.startswith("odometry comes, but 0.60 s old by its stamps; allowed: 0.5 s")
+    assert stale(math.nan, math.nan, 0.5) is not None
