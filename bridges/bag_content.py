@@ -9,7 +9,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from bridges import bags
+from bridges import bag_messages, bags
 from bridges.messages import COMMAND_TYPES, BridgeError, Odometry
 from bridges.recording_checks import INDEX
 from bridges.ros_messages import command_of, odometry_of
@@ -42,8 +42,8 @@ def read(path: Path, odometry_topic: str = "/odom", command_topic: str = "/cmd_v
             f"{path} is a whole recording of the bridge; give one of its episodes, such as "
             f"{path / 'episode_000'}"
         )
-    kinds = {odometry_topic: (bags.ODOMETRY,), command_topic: COMMAND_TYPES}
-    rows = bags.messages(path, {**kinds, EPISODE: (bags.ABOUT,)})
+    kinds = {odometry_topic: (bag_messages.ODOMETRY,), command_topic: COMMAND_TYPES}
+    rows = bags.messages(path, {**kinds, EPISODE: (bag_messages.ABOUT,)})
     if not rows[odometry_topic]:
         raise BridgeError(f"{path}: there is no odometry on {odometry_topic}")
     messages = [odometry_of(message, stamp) for stamp, message in rows[odometry_topic]]

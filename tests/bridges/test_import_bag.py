@@ -14,8 +14,9 @@ from rosbags.rosbag2 import StoragePlugin, Writer
 from rosbags.typesys import Stores, get_typestore
 
 import envs_jax
-from bridges import bags, import_bag, teleoperation
+from bridges import import_bag, teleoperation
 from bridges.bag_content import BagContent
+from bridges.bag_messages import ODOMETRY, command_message, odometry_message
 from bridges.clock import VirtualClock
 from bridges.driving import Drive, actor
 from bridges.messages import STOP, TWIST, TWIST_STAMPED, BridgeError, Command, Odometry
@@ -79,15 +80,15 @@ def write(
     store: Stores = Stores.ROS2_HUMBLE,
 ) -> Path:
     types = get_typestore(store)
-    kinds = {"/odom": bags.ODOMETRY, "/cmd_vel": kind}
+    kinds = {"/odom": ODOMETRY, "/cmd_vel": kind}
     with Writer(folder, version=9, storage_plugin=plugin) as writer:
         topics = {topic for _, topic, _ in rows}
         connections = {t: writer.add_connection(t, kinds[t], typestore=types) for t in topics}
         for moment, topic, what in sorted(rows, key=lambda row: row[0]):
             if isinstance(what, Odometry):
-                message = bags._odometry(types.types, what._replace(stamp=what.stamp + STAMPS))
+                message = odometry_message(types.types, what._replace(stamp=what.stamp + STAMPS))
             else:
-                message = bags._command(types.types, what, kind, 0.0)
+                message = command_message(types.types, what, kind, 0.0)
             data = types.serialize_cdr(message, kinds[topic])
             writer.write(connections[topic], round(1e9 * (ARRIVAL + moment)), data)
     return folder

@@ -12,6 +12,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+import yaml
 from rosbags.highlevel import AnyReader
 
 from bridges.driving import Drive, actor
@@ -121,9 +122,24 @@ def test_an_independent_reader_finds_ros_messages(
     commands: Any = [message for topic, _, message in rows if topic == "/cmd_vel"]
     twist = commands[0] if command_type == TWIST else commands[0].twist
     assert (twist.linear.x, twist.angular.z) == episode.commands[0][1]
+    if command_type == TWIST_STAMPED:  # by the clock that the bag's own times are of
+        stamped = [1e9 * m.header.stamp.sec + m.header.stamp.nanosec for m in commands]
+        written = [t for topic, t, _ in rows if topic == "/cmd_vel"]
+        np.testing.assert_allclose(stamped, written, rtol=0, atol=1e4)
     assert [t for _, t, _ in rows] == sorted(t for _, t, _ in rows)
     about: Any = rows[-1][2]
     assert json.loads(about.data)["recording"]["bundle"] == BUNDLE.content_sha256
+
+
+def test_humble_reads_the_bags_metadata(folder: Path) -> None:
+    """Its reader knows no version after 8, and takes a topic's QoS as a text that holds YAML."""
+    text = (folder / "episode_000" / "metadata.yaml").read_text()
+    information = yaml.safe_load(text)["rosbag2_bagfile_information"]
+    assert information["version"] == 8
+    for topic in information["topics_with_message_count"]:
+        (qos,) = yaml.safe_load(topic["topic_metadata"]["offered_qos_profiles"])
+        assert (qos["history"], qos["depth"]) == (1, 10)  # as rmw numbers them: keep last
+        assert (qos["reliability"], qos["durability"]) == (1, 2)  # reliable, volatile
 
 
 def test_a_recording_goes_on_where_it_was(folder: Path, episodes: list[Episode]) -> None:
