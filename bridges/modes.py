@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import time
 from pathlib import Path
 from types import ModuleType
@@ -13,17 +12,14 @@ from bridges import bags, bundle, kept, people
 from bridges.bundle import Bundle
 from bridges.driving import Drive, actor
 from bridges.episodes import Episode
-from bridges.files import write_bytes
 from bridges.kept import ADAPTED, EXECUTION
 from bridges.messages import BridgeError
-from bridges.picture import draw
 from bridges.policy import Policy
-from bridges.recording import Header, Recorder, Recording, header_of, read
+from bridges.recording import Header, Recorder, header_of, read
 from bridges.recording_checks import INDEX
 from bridges.robot import TurtleBot3
 from bridges.run_settings import RunConfig
 from bridges.signals import Signals
-from bridges.summary import summarized, table
 from bridges.world import World, driving_settings, rules_of, world, zone_of
 
 MOST_FAULTS = 3  # episodes in a row that may be broken off
@@ -37,6 +33,10 @@ class Session:
         first: the bundle that they name.
         signals: that end the work.
         ask: puts a question to a person, and returns when they let it go on.
+
+    Attributes:
+        out: the folder for all that it writes.
+        recorded: it has added an episode to a recording.
 
     Raises:
         BridgeError: the bundle drives no TurtleBot3, or settings do not go together.
@@ -57,6 +57,7 @@ class Session:
         self._driven = False  # since it was last known to be at its start
         self._world: World | None = None
         self.out = kept.folder_of(config)
+        self.recorded = False
 
     def collect(self, driver: Bundle) -> None:
         """Drives a bundle's policy with its noise until there are enough whole episodes."""
@@ -117,27 +118,6 @@ class Session:
         self.execute(driver)
         return driver
 
-    def tell(self) -> None:
-        """Writes and prints the summary of all that is in the folder, and draws it."""
-        folders = [path for path in self.out.iterdir() if (path / INDEX).is_file()]
-        folders.sort(key=lambda path: (path.name == EXECUTION, path.name))
-        recordings = {path.name: read(path) for path in folders}
-        summaries = {name: summarized(recording) for name, recording in recordings.items()}
-        for name, summary in summaries.items():
-            print(f"\n{name}\n{table(summary)}")
-        told = {
-            "environment": self._first.environment.name,
-            "task": self._first.task,
-            "algorithm": self._first.algorithm,
-            "control_period_s": self._first.control_period,
-            "recordings": summaries,
-        }
-        write_bytes(self.out / "summary.json", (json.dumps(told, indent=2) + "\n").encode())
-        titled = {self._title(name, r): r for name, r in recordings.items()}
-        drawn = bool(titled) and draw(self._first, titled, self.out / "paths")
-        picture = "paths.png and paths.svg" if drawn else "no picture, for matplotlib is missing"
-        print(f"\n{self.out}: summary.json, {picture}", flush=True)
-
     def _drive(self, driver: Bundle, name: str, *, noise: bool) -> None:
         """Drives until the recording of this name has enough whole episodes."""
         bags.rosbags()  # whoever lacks it learns so before the robot is looked for
@@ -185,6 +165,7 @@ class Session:
             self._driven = True
             episode = drive.run(self._signals.reason, progress.show)
             recorder.add(episode)
+            self.recorded = True
             progress.end(episode)
             if noise and not self._config.dry_run and people.stood_still(episode):
                 print(
@@ -225,15 +206,6 @@ class Session:
         """How many whole episodes a recording lacks; refused if it was driven otherwise."""
         header = self._header(driver, noise, command_type="")
         return max(0, self._config.episodes - kept.whole(self.out / name, header))
-
-    def _title(self, name: str, recording: Recording) -> str:
-        """What a recording is, for people."""
-        path = self.out / ADAPTED
-        known = [self._first, *([bundle.read(path)] if path.is_file() else [])]
-        after = {one.content_sha256 for one in known if one.stage.adapted}
-        if recording.header.bundle in after:
-            return "after adaptation"
-        return "before adaptation" if name == "recording_0" else name
 
 
 def _adapting() -> ModuleType:

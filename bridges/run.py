@@ -4,13 +4,18 @@ from __future__ import annotations
 
 import sys
 from collections.abc import Sequence
+from contextlib import suppress
 
 from bridges import bundle, people
+from bridges.bundle import Bundle
 from bridges.command_line import configured, run_command
+from bridges.locking import locked
+from bridges.messages import BridgeError
 from bridges.modes import Session
 from bridges.run_settings import RunConfig
 from bridges.settings import SettingError
 from bridges.signals import Interrupted, Signals
+from bridges.telling import tell
 
 EXAMPLES = (
     "bundle=policy.safetensors robot=dds episodes=5 out=robot/first",
@@ -51,18 +56,29 @@ def run(config: RunConfig, ask: people.Ask = people.ask) -> int:
     with Signals() as signals:
         session = Session(config, driver, signals, ask)
         try:
-            if config.mode == "all":
-                session.everything()
-            else:
-                getattr(session, config.mode)(driver)
-            if config.mode != "adapt":
-                session.tell()
+            with locked(session.out):
+                _work(session, config.mode, driver)
             signals.check()
         except Interrupted as error:
-            kept = f"; what is recorded stays in {session.out}, and the same command goes on"
-            print(f"\nstopped by {error}{kept}", file=sys.stderr, flush=True)
+            print(f"\nstopped by {error}; the same command goes on", file=sys.stderr, flush=True)
             return error.code
     return 0
+
+
+def _work(session: Session, mode: str, driver: Bundle) -> None:
+    """Does what the mode says, and tells what was driven, also if it ends in an error."""
+    try:
+        if mode == "all":
+            session.everything()
+        else:
+            getattr(session, mode)(driver)
+    except BaseException:
+        if session.recorded:
+            with suppress(BridgeError, OSError):  # the first error counts
+                tell(session.out, driver)
+        raise
+    if mode != "adapt":
+        tell(session.out, driver)
 
 
 def _meant(arguments: Sequence[str]) -> list[str]:

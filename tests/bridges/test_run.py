@@ -18,6 +18,7 @@ import pytest
 
 from bridges import bundle, run
 from bridges.bundle import Stage
+from bridges.locking import locked
 from bridges.messages import STOP, BridgeError
 from bridges.policy import Policy
 from bridges.recording import read
@@ -191,6 +192,7 @@ def test_three_episodes_in_a_row_may_not_be_broken_off(
 
     episodes = read(tmp_path / "out" / "recording_0").episodes
     assert [episode.ending for episode in episodes] == ["stale"] * 3
+    assert (tmp_path / "out" / "summary.json").is_file()  # what was driven is worth seeing
     assert len(questions) == 2
     assert fake.received[-1][1] == STOP
 
@@ -241,10 +243,20 @@ def test_a_signal_stops_the_robot_and_keeps_what_is_recorded(
     assert (episode.ending, episode.detail) == ("interrupted", signal.Signals(number).name)
     assert 1 <= len(episode.steps) <= 5
     assert [command for _, command in fake.received[-10:]] == [STOP] * 10
+    assert (tmp_path / "out" / "summary.json").is_file()
     fake.change = lambda now, odometry: [odometry]
     assert main("--yes", robot="dds", mode="collect", episodes=2, reset="service") == 0
     whole = [e.whole for e in read(tmp_path / "out" / "recording_0").episodes]
     assert whole == [False, True, True]
+
+
+def test_one_command_at_a_time_writes_to_a_folder(main: Run, tmp_path: Path) -> None:
+    with locked(tmp_path / "out"):
+        with pytest.raises(BridgeError, match="another command is writing to"):
+            main(mode="collect", episodes=1)
+        assert list((tmp_path / "out").iterdir()) == []
+    assert not (tmp_path / "out").exists()  # nothing came of it
+    assert main(mode="collect", episodes=1) == 0
 
 
 def test_a_signal_is_raised_at_once_where_nothing_drives() -> None:
