@@ -17,6 +17,9 @@ EXAMPLES = (
     "robot=dds speed=10 view=null link.domain_id=30",
     "robot=rclpy command_type=twist position_noise=0.01 command_loss=0.3 command_latency=0.2",
 )
+# Ctrl-C, a request to end, a terminal that is gone (Windows has no such signal). Who does not end
+# properly is taken for a robot for some seconds more.
+SIGNALS = [getattr(signal, n) for n in ("SIGINT", "SIGTERM", "SIGHUP") if hasattr(signal, n)]
 
 
 def main() -> int:
@@ -32,7 +35,7 @@ def main() -> int:
     if config.link.command_type != "auto":
         raise SettingError("link.command_type is the bridge's; the robot's is command_type")
     stop = threading.Event()
-    for number in (signal.SIGINT, signal.SIGTERM):
+    for number in SIGNALS:
         signal.signal(number, lambda *_: stop.set())
     clock = RealClock(config.speed)
     config = replace(config, robot=resolved(config.robot))

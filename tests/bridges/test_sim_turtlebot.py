@@ -7,6 +7,7 @@ import os
 import signal
 import subprocess
 import sys
+import threading
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
@@ -44,7 +45,7 @@ def simulator(*arguments: str) -> Iterator[subprocess.Popen[str]]:
         yield process
     finally:
         process.kill()
-        process.communicate()
+        process.communicate(timeout=LIMIT)
 
 
 @contextmanager
@@ -135,6 +136,22 @@ def test_ten_times_as_fast(domain: int) -> None:
         assert last.received - first.received == pytest.approx(20.0, abs=4.0)
         drive(link, STOP, lambda o: o.linear == 0.0)
         process.send_signal(signal.SIGTERM)
+        said, _ = process.communicate(timeout=LIMIT)
+    assert process.returncode == 0
+    assert "stopped after" in said
+
+
+@pytest.mark.skipif(not hasattr(signal, "SIGHUP"), reason="Windows has no such signal")
+def test_a_terminal_that_is_gone_ends_it_properly(domain: int) -> None:
+    """Or it would be seen, and taken for a robot, for some seconds more."""
+    pytest.importorskip("cyclonedds")
+    with simulator(f"link.domain_id={domain}", "link.namespace=hangs_up") as process:
+        assert process.stdout is not None
+        starter = threading.Timer(LIMIT, process.kill)
+        starter.start()
+        assert "over dds" in process.stdout.readline()
+        starter.cancel()
+        process.send_signal(signal.SIGHUP)
         said, _ = process.communicate(timeout=LIMIT)
     assert process.returncode == 0
     assert "stopped after" in said
