@@ -100,7 +100,7 @@ class BadNetwork:
     ) -> None:
         for process in self.processes:
             process.kill()
-            process.wait()
+            process.wait(10)
         for device in self._devices:
             os.close(device)
 

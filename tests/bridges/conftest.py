@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import subprocess
 import sys
+import threading
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -20,6 +21,7 @@ from tests.bridges import robot_bundles
 from tests.bridges.fake_robot import FakeRobot
 
 ROOT = Path(__file__).resolve().parents[2]
+LIMIT = 20.0  # s that no process may take to begin or to end
 LOOPBACK = (
     "<CycloneDDS><Domain>"
     '<General><Interfaces><NetworkInterface name="lo" multicast="false"/></Interfaces>'
@@ -58,6 +60,17 @@ def domain() -> int:
 
 
 @contextmanager
+def limited(process: subprocess.Popen[str]) -> Iterator[None]:
+    """Kills a process that is read from for longer than LIMIT; the read then finds its end."""
+    killer = threading.Timer(LIMIT, process.kill)
+    killer.start()
+    try:
+        yield
+    finally:
+        killer.cancel()
+
+
+@contextmanager
 def echo_robots(transport: str, domain: int, *robots: str) -> Iterator[subprocess.Popen[str]]:
     """Runs benchmarks.echo_robot in a process of its own, `namespace:command_type` each."""
     process = subprocess.Popen(
@@ -70,13 +83,14 @@ def echo_robots(transport: str, domain: int, *robots: str) -> Iterator[subproces
     assert process.stdin is not None
     assert process.stdout is not None
     try:
-        assert process.stdout.readline() == "ready\n"
+        with limited(process):
+            assert process.stdout.readline() == "ready\n"
         yield process
         process.stdin.close()
-        process.wait(20)
+        process.wait(LIMIT)
     finally:
         process.kill()
-        process.wait()
+        process.wait(LIMIT)
         process.stdin.close()
         process.stdout.close()
 

@@ -172,7 +172,7 @@ def test_a_robot_that_is_killed_goes_silent_and_blocks_nothing(domain: int) -> N
         assert link.wait(10.0)
         link.take()
         process.send_signal(signal.SIGKILL)
-        process.wait()
+        process.wait(10)
         began = time.monotonic()
         for _ in range(30):  # DDS still holds it for alive
             link.send(Command(0.1, 0.0))

@@ -28,7 +28,7 @@ from bridges.gymnasium.ground import ground
 from bridges.messages import STOP, BridgeError
 from bridges.world import World
 from tests.bridges import robot_bundles
-from tests.bridges.conftest import ROOT
+from tests.bridges.conftest import LIMIT, ROOT
 from tests.bridges.fake_robot import FakeRobot
 from tests.bridges.real_time import beside
 
@@ -345,7 +345,7 @@ def simulator(*arguments: str) -> Iterator[None]:
         yield
     finally:
         process.kill()
-        process.wait()
+        process.wait(LIMIT)
 
 
 @pytest.mark.parametrize(
@@ -377,7 +377,10 @@ def test_a_robot_needs_no_jax() -> None:
         "sys.exit('jax' in sys.modules)"
     )
     done = subprocess.run(
-        [sys.executable, "-c", code], check=False, env={**os.environ, "PYTHONPATH": str(ROOT)}
+        [sys.executable, "-c", code],
+        check=False,
+        env={**os.environ, "PYTHONPATH": str(ROOT)},
+        timeout=60,
     )
 
     assert done.returncode == 0

@@ -502,6 +502,7 @@ def test_the_robots_part_needs_no_newer_python_than_humbles() -> None:
         env={**os.environ, "PYTHONPATH": str(ROOT)},
         capture_output=True,
         text=True,
+        timeout=60,
     )
     *files, jax = done.stdout.split()
     trees = {

@@ -7,7 +7,6 @@ import os
 import signal
 import subprocess
 import sys
-import threading
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
@@ -19,7 +18,7 @@ from bridges.clock import RealClock
 from bridges.messages import STOP, TWIST, TWIST_STAMPED, Command, Odometry
 from bridges.transports.base import LinkSettings, RobotLink
 from bridges.transports.choice import link as make_link
-from tests.bridges.conftest import ROOT
+from tests.bridges.conftest import ROOT, limited
 
 LIMIT = 15.0  # s of ours that nothing here may take
 
@@ -147,10 +146,8 @@ def test_a_terminal_that_is_gone_ends_it_properly(domain: int) -> None:
     pytest.importorskip("cyclonedds")
     with simulator(f"link.domain_id={domain}", "link.namespace=hangs_up") as process:
         assert process.stdout is not None
-        starter = threading.Timer(LIMIT, process.kill)
-        starter.start()
-        assert "over dds" in process.stdout.readline()
-        starter.cancel()
+        with limited(process):
+            assert "over dds" in process.stdout.readline()
         process.send_signal(signal.SIGHUP)
         said, _ = process.communicate(timeout=LIMIT)
     assert process.returncode == 0

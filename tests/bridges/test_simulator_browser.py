@@ -41,7 +41,7 @@ def simulator(port: int = 0, **settings: Any) -> Iterator[Simulator]:
     link, end = pair(clock)
     end.open()
     arguments = (config, end, clock, over.is_set, said.append)
-    thread = threading.Thread(target=simulate, args=arguments)
+    thread = threading.Thread(target=simulate, args=arguments, daemon=True)
 
     def stop() -> None:
         over.set()

@@ -38,12 +38,12 @@ def echoing_threads(domain: int) -> Iterator[None]:
         ends.append(MemoryEnd(settings, RealClock()))
         ends[-1].open()
         arguments = (ends[-1], lambda: not over.is_set())
-        threads.append(threading.Thread(target=echo, args=arguments))
+        threads.append(threading.Thread(target=echo, args=arguments, daemon=True))
         threads[-1].start()
     yield
     over.set()
     for thread, end in zip(threads, ends, strict=True):
-        thread.join()
+        thread.join(LIMIT)
         end.close()
 
 

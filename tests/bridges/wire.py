@@ -79,7 +79,7 @@ class Process:
 
     def close(self) -> None:
         self.process.kill()
-        self.process.wait()
+        self.process.wait(LIMIT)
         self._thread.join(5)
         if self.process.stdout is not None:
             self.process.stdout.close()
