@@ -34,6 +34,11 @@ class RealClock:
         time.sleep(max(0.0, (moment - self.now()) / self.speed))
 
 
+def real(clock: Clock, seconds: float) -> float:
+    """So many s of a clock in real ones; those of a virtual one pass for real."""
+    return seconds / clock.speed if isinstance(clock, RealClock) else seconds
+
+
 class VirtualClock:
     """Passes only while somebody sleeps, as fast as what happens meanwhile can be computed.
 

@@ -9,7 +9,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from bridges.clock import Clock, RealClock
+from bridges.clock import Clock, RealClock, real
 from bridges.commander import SOON, Commander, RobotRules
 from bridges.messages import BridgeError, Command, Odometry
 from bridges.minder import Minder
@@ -222,7 +222,8 @@ class TurtleBot3(AbstractContextManager):
         deadline = self._clock.now() + self._rules.patience
         while self._tracker.newest is None:
             if self._clock.now() > deadline:
-                raise BridgeError(f"no odometry came within {self._rules.patience:g} s")
+                seconds = real(self._clock, self._rules.patience)
+                raise BridgeError(f"no odometry came within {seconds:g} s")
             self._listen(self._clock.now() + self._rules.tick)
         return self._tracker.newest
 

@@ -4,17 +4,20 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
 import pytest
 
+from bridges.clock import RealClock
 from bridges.commander import STOPS
 from bridges.messages import STOP, BridgeError, Command, Odometry
 from bridges.robot import TurtleBot3
 from bridges.safety import RobotFault, limits_of
 from bridges.tracking import Guard, Room, Tracker
 from bridges.transports.base import TransportError
+from bridges.transports.memory import pair
 from tests.bridges.fake_robot import FakeRobot, rules
 
 
@@ -326,6 +329,15 @@ def test_a_robot_that_tells_nothing_is_refused() -> None:
         TurtleBot3(fake, fake.clock, rules()).connect()
 
     assert not fake.received
+
+
+def test_silence_is_told_in_real_seconds() -> None:
+    clock = RealClock(speed=8.0)
+    link, end = pair(clock)
+    end.open()
+    with pytest.raises(BridgeError, match=r"no odometry came within 0\.1 s"):
+        TurtleBot3(link, clock, replace(rules(), patience=0.8)).connect()
+    end.close()
 
 
 def test_a_reset_brings_a_simulated_robot_back() -> None:
