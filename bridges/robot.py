@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable, Sequence
 from contextlib import AbstractContextManager
 from typing import NamedTuple
@@ -11,16 +10,17 @@ import numpy as np
 
 from bridges.clock import Clock, RealClock, real
 from bridges.commander import SOON, Commander, RobotRules
+from bridges.home import is_there, not_reached
 from bridges.messages import BridgeError, Command, Odometry
 from bridges.minder import Minder
-from bridges.safety import Fault, RobotFault, wrapped
+from bridges.safety import Fault, RobotFault
 from bridges.tracking import Tracker, check_clocks
 from bridges.transports.base import RobotLink
 
 CLOCK_WINDOW = 1.0  # s over which the speed of the robot's clock is measured
-SAME_PLACE = (0.1, 0.2)  # m and rad that a robot may be off its start after a reset
 RESET_TAKES = 0.3  # s before which odometry may still be from before a reset
 RESET_SHOWS = 1.0  # s in which a reset shows in odometry; then it is asked for again
+GONE = 0.5  # of its patience that a reset waits for a robot that says nothing
 RESTS = 1.0  # s at most that zero velocity is sent on leaving, until odometry shows it
 AT_REST = (0.01, 0.1)  # m/s and rad/s that odometry may show of a robot that stands
 
@@ -186,21 +186,19 @@ class TurtleBot3(AbstractContextManager):
             BridgeError: it does not go there.
         """
         deadline = self._clock.now() + self._rules.patience
-        while self._clock.now() < deadline:
+        while self._clock.now() < deadline and self._silent() < GONE * self._rules.patience:
             if not self._rules.dry_run:
                 self._link.request_reset()
             self._listen(self._clock.now() + RESET_TAKES)
             shows = self._clock.now() + RESET_SHOWS
             while self._clock.now() < shows - SOON:
-                if self._is_home():
+                if is_there(self._tracker.newest, self._home):
                     return
                 self._listen(min(shows, self._clock.now() + self._rules.tick))
             # the first time it is wherever the reset has brought it
             self._home = self._home or self._tracker.newest
-        raise BridgeError(
-            "the robot did not go back to its start: reset=service is for simulated robots, and "
-            "needs their odometry"
-        )
+        silent = self._silent()
+        raise not_reached(real(self._clock, silent) if silent > self._rules.guard.watchdog else 0)
 
     def disconnect(self) -> None:
         """Stops the robot, waits until it stands, and disconnects; may be called twice."""
@@ -227,13 +225,9 @@ class TurtleBot3(AbstractContextManager):
             self._listen(self._clock.now() + self._rules.tick)
         return self._tracker.newest
 
-    def _is_home(self) -> bool:
-        here, home = self._tracker.newest, self._home
-        if here is None or home is None:
-            return False
-        way = math.hypot(here.x - home.x, here.y - home.y)
-        turn = abs(wrapped(here.theta - home.theta))
-        return way < SAME_PLACE[0] and turn < SAME_PLACE[1]
+    def _silent(self) -> float:
+        """s since any odometry came."""
+        return self._clock.now() - self.odometry[-1].received
 
     def _come_to_rest(self) -> None:
         """Repeats zero velocity until the robot is seen to stand: messages may get lost."""

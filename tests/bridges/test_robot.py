@@ -365,3 +365,19 @@ def test_a_robot_that_takes_no_reset_is_told() -> None:
 
     with pytest.raises(BridgeError, match="did not go back to its start"):
         robot.reset()
+
+
+def test_a_robot_that_is_gone_is_told_when_it_is_to_be_reset() -> None:
+    fake = FakeRobot()
+    robot = connected(fake)
+    robot.reset()
+    drive(robot, fake, (0.2, 0.0), 3.0)
+    robot.stop()
+    killed = fake.clock.now()
+    fake.change, fake.request_reset = lambda now, odometry: [], lambda: None  # type: ignore[method-assign]
+
+    with pytest.raises(BridgeError, match=r"no odometry has come for [56] s.*has ended") as error:
+        robot.reset()
+
+    assert 5 < fake.clock.now() - killed < 7  # of 10 s that others have
+    assert "reset=service" not in str(error.value)
