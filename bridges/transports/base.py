@@ -57,18 +57,29 @@ class RobotLink(Protocol):
         ...
 
     def wait(self, timeout: float) -> bool:
-        """Returns when odometry is there to take (True), or after `timeout` s (False)."""
+        """Returns when odometry is there to take (True), or after `timeout` s (False).
+
+        Raises:
+            TransportError: what receives has ended by an error, which it names.
+        """
         ...
 
     def take(self) -> Sequence[Odometry]:
         """All odometry since the last call, in the order of arrival; never waits.
 
         The newest 1000 are kept for it. `received` is when each arrived, not when it is taken.
+
+        Raises:
+            TransportError: as `wait`.
         """
         ...
 
     def send(self, command: Command) -> None:
-        """Publishes a velocity command."""
+        """Publishes a velocity command, even if nothing is received any more: it may be zero.
+
+        Raises:
+            TransportError: it cannot be sent.
+        """
         ...
 
     def request_reset(self) -> None:

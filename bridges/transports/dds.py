@@ -47,8 +47,8 @@ class DdsLink(ReceivingLink):
         """
         deadline = time.monotonic() + self._settings.connect_timeout
         self.close()
-        self.take()
-        self._node = node = Node(self._settings)
+        self.begin_anew()
+        self._node = node = Node(self._settings, self.fail)
         try:
             reader = node.reader(names.ODOMETRY, ODOMETRY, self._take_odometry)
             node.start()
@@ -115,9 +115,10 @@ class DdsEnd(ReceivingEnd):
             TransportError: the network does not let it; the message says why.
         """
         self.close()
+        self.begin_anew()
         kind = names.end_type(self._settings)
         stamped = kind == TWIST_STAMPED
-        self._node = node = Node(self._settings)
+        self._node = node = Node(self._settings, self.fail)
         try:
             self._odometry = node.writer(names.ODOMETRY, ODOMETRY)
             node.reader(names.RESET, EMPTY, lambda _: self.put_reset())

@@ -40,10 +40,15 @@ _DDS_TYPE = re.compile(r"(\w+)::(\w+)::dds_::(\w+)_")
 
 
 class Node:
-    """A participant of a domain with its readers and writers, and a thread that reads."""
+    """A participant of a domain with its readers and writers, and a thread that reads.
 
-    def __init__(self, settings: LinkSettings) -> None:
-        self._settings = settings
+    Args:
+        settings: which domain, and the topics' namespace.
+        fail: told what ends the thread before it is closed.
+    """
+
+    def __init__(self, settings: LinkSettings, fail: Callable[[Exception], None]) -> None:
+        self._settings, self._fail = settings, fail
         self._domain, participant = join(settings)
         self._participant = participant
         self._publications = BuiltinDataReader(participant, BuiltinTopicDcpsPublication)
@@ -110,14 +115,20 @@ class Node:
         return Topic(self._participant, f"rt{names.topic(self._settings, name)}", TYPES[kind])
 
     def _receive(self) -> None:
-        while True:
-            self._waitset.wait(duration(infinite=True))
-            if self._closing.read():
-                return
-            for reader, deliver in self._routes:
-                for sample in reader.take(_MANY):
-                    if not isinstance(sample, InvalidSample):  # one that says a writer has gone
-                        deliver(sample)
+        try:
+            while True:
+                self._waitset.wait(duration(infinite=True))
+                if self._closing.read():
+                    return
+                self._deliver()
+        except Exception as error:  # in a thread nobody would see it
+            self._fail(error)
+
+    def _deliver(self) -> None:
+        for reader, deliver in self._routes:
+            for sample in reader.take(_MANY):
+                if not isinstance(sample, InvalidSample):  # one that says a writer has gone
+                    deliver(sample)
 
 
 def _qos(kind: str) -> Qos:

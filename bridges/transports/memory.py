@@ -50,7 +50,7 @@ class MemoryLink(ReceivingLink):
             TransportError: no robot is there in time, or it takes another type of command.
         """
         self.close()
-        self.take()
+        self.begin_anew()
         place = f"domain {names.domain_id(self._settings)} of this process"
         self._type = find_robot(self._look, self._settings, place, settle=0.0)
         self._wire.links.append(self)

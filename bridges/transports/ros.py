@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import threading
 import time
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from contextlib import suppress
 from typing import Any
 
@@ -38,6 +38,10 @@ _QOS = QoSProfile(
 )
 _MATCHING = 1.0  # s that two ends that know each other may need to match
 _FAREWELL = 0.5  # s for what was sent last to arrive
+_SHUT_DOWN = (
+    " (rclpy was shut down in this process, as its signal handlers do with all that it has: call"
+    " rclpy.init with signal_handler_options=SignalHandlerOptions.NO)"
+)
 _LOOK = 0.1  # s at most between the executor's looks at whether it is to end
 
 
@@ -57,8 +61,8 @@ class RosLink(ReceivingLink):
         """
         deadline = time.monotonic() + self._settings.connect_timeout
         self.close()
-        self.take()
-        self._session = session = _Session("emrld_bridge", self._settings)
+        self.begin_anew()
+        self._session = session = _Session("emrld_bridge", self._settings, self.fail)
         try:
             node = session.node
             node.create_subscription(OdometryMessage, names.ODOMETRY, self._take_odometry, _QOS)
@@ -129,9 +133,10 @@ class RosEnd(ReceivingEnd):
             TransportError: ROS does not let it; the message says why.
         """
         self.close()
+        self.begin_anew()
         kind = names.end_type(self._settings)
         take = self._take_stamped if kind == TWIST_STAMPED else self._take_plain
-        self._session = session = _Session("emrld_sim_turtlebot", self._settings)
+        self._session = session = _Session("emrld_sim_turtlebot", self._settings, self.fail)
         try:
             node = session.node
             self._odometry = node.create_publisher(OdometryMessage, names.ODOMETRY, _QOS)
@@ -196,9 +201,16 @@ class _Session:
     """A context of our own, with a node and a thread that serves its callbacks.
 
     No signal handler is taken over: whoever drives the robot has to stop it on SIGINT itself.
+
+    Args:
+        name: of the node.
+        settings: where the robot is.
+        fail: told what ends the thread, and more for people.
     """
 
-    def __init__(self, name: str, settings: LinkSettings) -> None:
+    def __init__(
+        self, name: str, settings: LinkSettings, fail: Callable[[Exception, str], None]
+    ) -> None:
         if settings.peers or settings.interface:
             raise TransportError(
                 "link.peers and link.interface are for robot=dds; with rclpy the middleware's own"
@@ -224,7 +236,7 @@ class _Session:
         except Exception as error:  # rclpy has many kinds, RuntimeErrors among them
             self._context.try_shutdown()
             raise TransportError(f"rclpy does not join domain {number}: {error}") from error
-        self._closing = False
+        self._closing, self._fail = False, fail
         self._executor = SingleThreadedExecutor(context=self._context)
         self._executor.add_node(self.node)
         self._thread = threading.Thread(target=self._spin, name=name, daemon=True)
@@ -285,5 +297,8 @@ class _Session:
         conditions away while it may be about to wait for them, and then it waits for ever
         (github.com/ros2/rclpy/issues/968).
         """
-        while not self._closing:
-            self._executor.spin_once(timeout_sec=_LOOK)
+        try:
+            while not self._closing:
+                self._executor.spin_once(timeout_sec=_LOOK)
+        except Exception as error:  # a callback's, or rclpy's own; in a thread nobody would see it
+            self._fail(error, "" if self._context.ok() else _SHUT_DOWN)

@@ -23,6 +23,10 @@ class SignalHandlerOptions(Enum):
     ALL = 3
 
 
+class ExternalShutdownException(Exception):
+    """Of rclpy.executors: somebody else has shut the context down."""
+
+
 class Ros:
     """A graph of nodes in this process; what is asked of rclpy is written down."""
 
@@ -108,8 +112,10 @@ class Executor:
         if thread is not self.thread:
             self.thread = thread
             self.context.ros.calls.append(call)
+        if not self.context.ok():
+            raise ExternalShutdownException
         with suppress(queue.Empty):
-            self.work.get(timeout=timeout_sec)()
+            self.work.get(timeout=timeout_sec)()  # what a callback raises comes out here
 
     def shutdown(self, timeout_sec: float | None = None) -> bool:
         self.context.ros.calls.append(("executor.shutdown",))

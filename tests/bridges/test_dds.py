@@ -23,7 +23,8 @@ from cyclonedds.core import Policy
 from cyclonedds.domain import DomainParticipant
 
 from bridges.clock import RealClock
-from bridges.messages import TWIST, TWIST_STAMPED, Command
+from bridges.messages import TWIST, TWIST_STAMPED, Command, Odometry
+from bridges.transports import dds
 from bridges.transports.base import LinkSettings, TransportError
 from bridges.transports.dds import DdsEnd, DdsLink
 from bridges.transports.dds_network import configuration
@@ -151,7 +152,7 @@ def test_others_see_the_names_types_and_qualities_of_ros(domain: int) -> None:
 
 def test_only_what_simulates_can_be_reset(domain: int) -> None:
     """A real robot listens to commands alone."""
-    robot = Node(LinkSettings(domain))
+    robot = Node(LinkSettings(domain), print)
     robot.reader("cmd_vel", TWIST, lambda _: None)
     writer = robot.writer("odom", "nav_msgs/msg/Odometry")
     robot.start()
@@ -161,6 +162,26 @@ def test_only_what_simulates_can_be_reset(domain: int) -> None:
         link.request_reset()
     link.close()
     del writer
+    robot.close()
+
+
+def test_a_message_that_cannot_be_read_is_told_where_odometry_is_taken(
+    domain: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def fail(*_: object) -> Odometry:
+        raise ValueError("no such field")
+
+    monkeypatch.setattr(dds, "odometry_of", fail)
+    settings = LinkSettings(domain, "unreadable", connect_timeout=10.0)
+    robot, link = DdsEnd(settings, RealClock()), DdsLink(settings, RealClock())
+    robot.open()
+    link.open()
+    robot.publish(Odometry(1.0, 1.0, 0.0, 0.0, 0.0, 0.0, 0.0), (1, 1, 1))
+    with pytest.raises(TransportError, match="ValueError: no such field"):
+        link.wait(10.0)
+    link.send(Command(0.0, 0.0))  # the robot can be stopped all the same
+    assert robot.wait(10.0)
+    link.close()
     robot.close()
 
 
@@ -211,7 +232,7 @@ def test_a_program_ends_that_closes_nothing(domain: int) -> None:
 def test_who_watches_with_another_type_is_told_from_the_robot_by_the_setting(domain: int) -> None:
     robot = DdsEnd(LinkSettings(domain, "watched"), RealClock())
     robot.open()
-    watcher = Node(LinkSettings(domain, "watched"))
+    watcher = Node(LinkSettings(domain, "watched"), print)
     watcher.reader("cmd_vel", TWIST, lambda _: None)
     watcher.start()
     link = DdsLink(LinkSettings(domain, "watched", connect_timeout=10.0), RealClock())

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from typing import Any
 
@@ -338,6 +338,27 @@ def test_silence_is_told_in_real_seconds() -> None:
     with pytest.raises(BridgeError, match=r"no odometry came within 0\.1 s"):
         TurtleBot3(link, clock, replace(rules(), patience=0.8)).connect()
     end.close()
+
+
+def test_a_link_that_receives_no_more_stops_the_robot(monkeypatch: pytest.MonkeyPatch) -> None:
+    fake = FakeRobot()
+    take = fake.take
+
+    def fail() -> Sequence[Odometry]:
+        if fake.clock.now() > 3.0:
+            raise TransportError("nothing is received any more")
+        return take()
+
+    monkeypatch.setattr(fake, "take", fail)
+    robot = connected(fake)
+    with pytest.raises(TransportError, match="received any more"):
+        drive(robot, fake, (0.1, 0.0), 10.0)
+    with pytest.raises(TransportError, match="received any more"):
+        robot.disconnect()
+
+    assert stops_at_the_end(fake) >= STOPS
+    assert fake.clock.now() < 3.2
+    assert fake.closed == 1
 
 
 def test_a_reset_brings_a_simulated_robot_back() -> None:

@@ -184,6 +184,42 @@ def test_what_the_middleware_does_not_send_is_told(
     robot.close()
 
 
+def test_a_callback_that_fails_is_told_where_odometry_is_taken(
+    ros: rclpy_stand_in.Ros, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    link, robot = ends()
+    link.open()
+
+    def fail(*_: Any) -> Odometry:
+        raise ValueError("no such field")
+
+    with monkeypatch.context() as patch:
+        patch.setattr(sys.modules["bridges.transports.ros"], "odometry_of", fail)
+        robot.publish(Odometry(1.0, 1.0, 0.0, 0.0, 0.0, 0.0, 0.0), (1, 1, 1))
+        for receive in (lambda: link.wait(60.0), link.take):
+            with pytest.raises(TransportError, match="ValueError: no such field"):
+                receive()
+    link.send(Command(0.0, 0.0))  # the robot can be stopped all the same
+    assert robot.wait(LIMIT)
+
+    link.open()
+    assert list(link.take()) == []
+    link.close()
+    robot.close()
+
+
+def test_a_context_that_others_shut_down_is_told(ros: rclpy_stand_in.Ros) -> None:
+    link, robot = ends()
+    link.open()
+    ros.nodes[-1].context.is_ok = False
+    with pytest.raises(
+        TransportError, match=r"ExternalShutdownException.*SignalHandlerOptions\.NO"
+    ):
+        link.wait(60.0)
+    link.close()
+    robot.close()
+
+
 def test_what_only_dds_has_is_refused(ros: rclpy_stand_in.Ros) -> None:
     for settings in (LinkSettings(peers=["10.0.0.1"]), LinkSettings(interface="wlan0")):
         with pytest.raises(TransportError, match="are for robot=dds"):
