@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import threading
 import time
+import warnings
 from collections.abc import Callable, Sequence
 from contextlib import suppress
 from typing import Any
@@ -16,7 +17,7 @@ from rclpy.duration import Duration
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
 from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPolicy
-from rclpy.signals import SignalHandlerOptions
+from rclpy.signals import SignalHandlerOptions, get_current_signal_handlers_options
 from std_msgs.msg import Empty
 
 from bridges.clock import RealClock
@@ -42,6 +43,12 @@ _SHUT_DOWN = (
     " (rclpy was shut down in this process, as its signal handlers do with all that it has: call"
     " rclpy.init with signal_handler_options=SignalHandlerOptions.NO)"
 )
+_HANDLERS = (
+    "this program has called rclpy.init with rclpy's signal handlers: on SIGINT or SIGTERM they"
+    " shut down all that rclpy has in this process, the robot's publisher too, before zero velocity"
+    " can be sent, and a real robot drives on. Call"
+    " rclpy.init(signal_handler_options=rclpy.signals.SignalHandlerOptions.NO)"
+)
 _LOOK = 0.1  # s at most between the executor's looks at whether it is to end
 
 
@@ -58,10 +65,15 @@ class RosLink(ReceivingLink):
 
         Raises:
             TransportError: ROS or the robot does not let it; the message says why.
+
+        Warns:
+            RuntimeWarning: rclpy's signal handlers would end the link before a robot is stopped.
         """
         deadline = time.monotonic() + self._settings.connect_timeout
         self.close()
         self.begin_anew()
+        if get_current_signal_handlers_options() != SignalHandlerOptions.NO:
+            warnings.warn(_HANDLERS, RuntimeWarning, stacklevel=2)
         self._session = session = _Session("emrld_bridge", self._settings, self.fail)
         try:
             node = session.node

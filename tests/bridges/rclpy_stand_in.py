@@ -34,6 +34,7 @@ class Ros:
         self.calls: list[tuple[Any, ...]] = []
         self.nodes: list[Node] = []
         self.published: list[Any] = []
+        self.handlers = SignalHandlerOptions.NO  # that somebody has installed before
         self.remapped: dict[str, str] = {}  # full names of topics; of nodes that begin from now on
 
     def init(
@@ -61,7 +62,10 @@ class Ros:
             "rclpy.executors": {"SingleThreadedExecutor": Executor},
             "rclpy.node": {"Node": Node},
             "rclpy.qos": {"QoSProfile": lambda **policies: policies, **policies},
-            "rclpy.signals": {"SignalHandlerOptions": SignalHandlerOptions},
+            "rclpy.signals": {
+                "SignalHandlerOptions": SignalHandlerOptions,
+                "get_current_signal_handlers_options": lambda: self.handlers,
+            },
             "geometry_msgs.msg": {"Twist": Twist, "TwistStamped": TwistStamped},
             "nav_msgs.msg": {"Odometry": Odometry},
             "std_msgs.msg": {"Empty": Empty},

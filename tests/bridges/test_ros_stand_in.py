@@ -212,10 +212,19 @@ def test_a_context_that_others_shut_down_is_told(ros: rclpy_stand_in.Ros) -> Non
     link, robot = ends()
     link.open()
     ros.nodes[-1].context.is_ok = False
-    with pytest.raises(
-        TransportError, match=r"ExternalShutdownException.*SignalHandlerOptions\.NO"
-    ):
+    with pytest.raises(TransportError, match=r"ExternalShutdown.*SignalHandlerOptions\.NO"):
         link.wait(60.0)
+    link.close()
+    robot.close()
+
+
+def test_signal_handlers_that_would_end_the_link_too_early_are_told(
+    ros: rclpy_stand_in.Ros,
+) -> None:
+    link, robot = ends()
+    ros.handlers = rclpy_stand_in.SignalHandlerOptions.ALL
+    with pytest.warns(RuntimeWarning, match=r"signal_handler_options=.*SignalHandlerOptions\.NO"):
+        link.open()
     link.close()
     robot.close()
 
