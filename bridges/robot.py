@@ -76,15 +76,18 @@ class TurtleBot3(AbstractContextManager):
 
         Raises:
             TransportError: it is not there.
-            BridgeError: it sends no odometry, or its clock runs at another speed.
+            BridgeError: it sends no odometry, its clock runs at another speed, or others command
+                it.
         """
         self._connected = True
         self._tracker = Tracker(self._rules.guard)  # nothing is known of its clock yet
         try:
-            self._link.open()
+            self._link.open(drives=not self._rules.dry_run)
             first = self._await_odometry()
             self._listen(first.received + CLOCK_WINDOW)
             check_clocks(first, self._tracker.newest or first, CLOCK_WINDOW)
+            if fault := self._other_driver():  # one that has come meanwhile
+                raise BridgeError(fault.detail)
             self._minder.start()
         except BaseException:
             self._connected = False
@@ -168,6 +171,8 @@ class TurtleBot3(AbstractContextManager):
         if self._minder.stalled:
             most = self._rules.guard.watchdog
             return Fault("stalled", f"the robot was left alone for more than {most:g} s")
+        if other := self._other_driver():
+            return other
         return self._tracker.check(self._clock.now())
 
     def stop(self) -> None:
@@ -213,6 +218,11 @@ class TurtleBot3(AbstractContextManager):
             finally:
                 self._minder.end()
                 self._link.close()
+
+    def _other_driver(self) -> Fault | None:
+        if others := self._link.others():
+            return Fault("other driver", f"others command the robot, too: {', '.join(others)}")
+        return None
 
     def _await_odometry(self) -> Odometry:
         self._take()

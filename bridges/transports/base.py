@@ -48,11 +48,29 @@ class RobotLink(Protocol):
         """What commands are sent as, one of COMMAND_TYPES; known once it is open."""
         ...
 
-    def open(self) -> None:
+    def open(self, *, drives: bool = True) -> None:
         """Connects: returns when a robot listens to our commands and we to its odometry.
 
+        Who was killed is seen for some time more. While there seem to be several robots, or others
+        who command this one, that time is waited.
+
+        Args:
+            drives: commands are to be sent. Otherwise we are not seen as somebody who does, and
+                others may.
+
         Raises:
-            TransportError: none is there in time, or it takes another type of command.
+            TransportError: none is there in time, or it takes another type of command; there are
+                several, or others command it.
+        """
+        ...
+
+    def others(self) -> Sequence[str]:
+        """Who else may command the robot now, in words; none for a link that only listens.
+
+        Cheap enough for every tick: nothing is waited for. They need not send anything.
+
+        Raises:
+            TransportError: that cannot be found out any more.
         """
         ...
 

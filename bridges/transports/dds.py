@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Sequence
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
 from typing import Any
 
@@ -25,7 +25,7 @@ from bridges.transports.dds_network import place
 from bridges.transports.dds_node import Node, write
 from bridges.transports.dds_types import EMPTY, ODOMETRY, TYPES
 from bridges.transports.discovery import find_robot, nobody_resets, until
-from bridges.transports.receiving import ReceivingEnd, ReceivingLink
+from bridges.transports.receiving import ONLY_LISTENS, ReceivingEnd, ReceivingLink
 
 _ACKNOWLEDGED = 1.0  # s for the robot to say that it has all: zero velocity, as a rule
 _MATCHING = 1.0  # s that two ends that know each other may need to match
@@ -38,8 +38,9 @@ class DdsLink(ReceivingLink):
         super().__init__(clock)
         self._settings = settings
         self._node: Node | None = None
+        self._commands: Any = None
 
-    def open(self) -> None:
+    def open(self, *, drives: bool = True) -> None:
         """Connects; see RobotLink.
 
         Raises:
@@ -51,24 +52,39 @@ class DdsLink(ReceivingLink):
         self._node = node = Node(self._settings, self.fail)
         try:
             reader = node.reader(names.ODOMETRY, ODOMETRY, self._take_odometry)
+            if drives:
+                node.watch(names.COMMANDS)
             node.start()
             self._reset = node.writer(names.RESET, EMPTY)
             self._type = find_robot(node.look, self._settings, place(self._settings))
-            self._commands = writer = node.writer(names.COMMANDS, self._type)
-            late = max(deadline, time.monotonic() + _MATCHING)
-            if not until(lambda: bool(writer.matched_sub and reader.matched_pub), late):
-                missing = names.ODOMETRY if writer.matched_sub else names.COMMANDS
-                raise TransportError(
-                    f"the robot was found in {place(self._settings)}, but its endpoint of"
-                    f" {names.topic(self._settings, missing)} does not match ours: ours are"
-                    " reliable and volatile; it must publish odometry reliably, too"
-                )
+            matched = {names.ODOMETRY: lambda: bool(reader.matched_pub)}
+            if drives:
+                self._commands = writer = node.writer(names.COMMANDS, self._type)
+                matched[names.COMMANDS] = lambda: bool(writer.matched_sub)
+            self._match(matched, max(deadline, time.monotonic() + _MATCHING))
         except BaseException:
             self.close()
             raise
 
+    def _match(self, matched: Mapping[str, Callable[[], bool]], late: float) -> None:
+        """Waits for endpoints to match the robot's, to a moment of time.monotonic at most."""
+        if until(lambda: all(each() for each in matched.values()), late):
+            return
+        missing = next((name for name, each in matched.items() if not each()), names.ODOMETRY)
+        raise TransportError(
+            f"the robot was found in {place(self._settings)}, but its endpoint of"
+            f" {names.topic(self._settings, missing)} does not match ours: ours are"
+            " reliable and volatile; it must publish odometry reliably, too"
+        )
+
+    def others(self) -> Sequence[str]:
+        """Who else commands the robot now, in words."""
+        return self._node.others() if self._node is not None else ()
+
     def send(self, command: Command) -> None:
         """Publishes a velocity command."""
+        if self._type is not None and self._commands is None:
+            raise TransportError(ONLY_LISTENS)
         message = TYPES[self.command_type]()
         if self.command_type == TWIST_STAMPED:
             fill_stamp(message.header.stamp, time.time())
@@ -87,7 +103,7 @@ class DdsLink(ReceivingLink):
 
     def close(self) -> None:
         """Disconnects; may be called twice. What was sent last is waited for, if it gets lost."""
-        if self._type is not None:
+        if self._commands is not None:
             # when nobody says so, CycloneDDS 11.0 fails on its way to say that
             with suppress(AttributeError, DDSException):
                 self._commands.wait_for_acks(duration(seconds=_ACKNOWLEDGED))

@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-import re
 import threading
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import Any
 
 from cyclonedds.builtin import (
@@ -32,11 +31,11 @@ from cyclonedds.util import duration
 from bridges.transports import names
 from bridges.transports.base import LinkSettings, TransportError
 from bridges.transports.dds_network import join
-from bridges.transports.dds_types import HASHES, ODOMETRY, TYPES
+from bridges.transports.dds_types import HASHES, ODOMETRY, TYPES, ros_type
+from bridges.transports.dds_writers import Writers
 from bridges.transports.discovery import Seen
 
 _MANY = 10_000  # samples or endpoints read at once: all of them
-_DDS_TYPE = re.compile(r"(\w+)::(\w+)::dds_::(\w+)_")
 
 
 class Node:
@@ -56,6 +55,7 @@ class Node:
         self._waitset = WaitSet(participant)
         self._closing = GuardCondition(participant)
         self._waitset.attach(self._closing)
+        self._writers: Writers | None = None
         self._routes: list[tuple[DataReader, Callable[[Any], None]]] = []
         self._thread = threading.Thread(target=self._receive, name="dds", daemon=True)
 
@@ -70,6 +70,16 @@ class Node:
     def writer(self, name: str, kind: str) -> DataWriter:
         """Writes a topic."""
         return DataWriter(self._participant, self._topic(name, kind), _qos(kind))
+
+    def watch(self, name: str) -> None:
+        """Follows, once started, who else writes a topic."""
+        self._writers = Writers(self._participant, f"rt{names.topic(self._settings, name)}")
+        for new in self._writers.conditions():
+            self._waitset.attach(new)
+
+    def others(self) -> Sequence[str]:
+        """Who else writes the topic that is watched, in words."""
+        return self._writers.words() if self._writers is not None else ()
 
     def start(self) -> None:
         """Begins to read."""
@@ -86,17 +96,18 @@ class Node:
             and endpoint.participant_key != ours
             and endpoint.topic_name.startswith("rt/")
         ]
-        ends = {(kind, e.topic_name[2:], _ros_type(e.type_name), str(e.key)) for kind, e in found}
+        ends = {(kind, e.topic_name[2:], ros_type(e.type_name), str(e.key)) for kind, e in found}
         types = {end[:3] for end in ends}
         commands = names.topic(self._settings, names.COMMANDS)
         odometry = names.topic(self._settings, names.ODOMETRY)
         topics: dict[str, set[str]] = {}
-        for _, name, ros_type in types:
-            topics.setdefault(name, set()).add(ros_type)
+        for _, name, kind in types:
+            topics.setdefault(name, set()).add(kind)
         return Seen(
             {t for kind, name, t in types if (kind, name) == ("sub", commands)},
             sum(end[:3] == ("pub", odometry, ODOMETRY) for end in ends),
             {name: ", ".join(sorted(each)) for name, each in topics.items()},
+            self.others(),
         )
 
     def close(self) -> None:
@@ -106,6 +117,7 @@ class Node:
             self._thread.join()
         # CycloneDDS's objects end when nobody has them any more: what uses others first
         del self._waitset, self._closing, self._publications, self._subscriptions
+        self._writers = None
         self._routes.clear()
         # and the participant with all that is left, such as what an error's traceback still has
         self._participant.__del__()
@@ -125,6 +137,8 @@ class Node:
             self._fail(error)
 
     def _deliver(self) -> None:
+        if self._writers is not None:
+            self._writers.update()
         for reader, deliver in self._routes:
             for sample in reader.take(_MANY):
                 if not isinstance(sample, InvalidSample):  # one that says a writer has gone
@@ -139,10 +153,6 @@ def _qos(kind: str) -> Qos:
         Policy.DataRepresentation(use_cdrv0_representation=True),
         Policy.Userdata(f"typehash={HASHES[kind]};".encode()),
     )
-
-
-def _ros_type(name: str) -> str:
-    return _DDS_TYPE.sub(r"\1/\2/\3", name)
 
 
 def write(writer: DataWriter, message: Any) -> None:

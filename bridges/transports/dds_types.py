@@ -6,6 +6,7 @@ a ROS type `package/msg/Name` is called `package::msg::dds_::Name_` and is final
 
 # No `from __future__ import annotations`: CycloneDDS reads the annotations as types.
 
+import re
 from dataclasses import dataclass, field
 
 from cyclonedds.idl import IdlStruct
@@ -15,6 +16,14 @@ from cyclonedds.idl.types import array, float64, int32, uint8, uint32
 from bridges.messages import TWIST, TWIST_STAMPED
 
 ODOMETRY, EMPTY = "nav_msgs/msg/Odometry", "std_msgs/msg/Empty"
+
+
+_DDS_TYPE = re.compile(r"(\w+)::(\w+)::dds_::(\w+)_")
+
+
+def ros_type(name: str) -> str:
+    """ROS's name of a type by DDS's; others stay as they are."""
+    return _DDS_TYPE.sub(r"\1/\2/\3", name)
 
 
 def _zeros() -> list[float]:

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+import math
 import time
-from collections.abc import Callable, Mapping, Set
+from collections.abc import Callable, Mapping, Sequence, Set
 from typing import NamedTuple
 
 from bridges.messages import COMMAND_TYPES
@@ -12,6 +13,9 @@ from bridges.transports.names import COMMANDS, ODOMETRY, TYPES, topic
 
 # s between looks, and how long all of a robot's endpoints may need to show after the first ones
 _PAUSE, SETTLE = 0.02, 0.3
+# real s that who was killed goes on being seen: 20 with Fast DDS, 10 with CycloneDDS, and a margin
+LEASE = 22.0
+_AFTER = 1.0  # s in which a robot must be found when who was killed is gone
 _SHOWN = 20  # topics that a message lists
 _NOT_SHOWN = ("/rosout", "/parameter_events")
 
@@ -22,6 +26,7 @@ class Seen(NamedTuple):
     command_types: Set[str]  # that somebody takes at our command topic, ROS names
     odometry: int  # how many publish it at our topic
     topics: Mapping[str, str]  # all that others have: name, types
+    drivers: Sequence[str] = ()  # others who publish at our command topic, in words
 
 
 def until(true: Callable[[], bool], deadline: float) -> bool:
@@ -34,7 +39,11 @@ def until(true: Callable[[], bool], deadline: float) -> bool:
 
 
 def find_robot(
-    look: Callable[[], Seen], settings: LinkSettings, place: str, settle: float = SETTLE
+    look: Callable[[], Seen],
+    settings: LinkSettings,
+    place: str,
+    settle: float = SETTLE,
+    lease: float | None = None,
 ) -> str:
     """Waits for a robot and finds out its type of command.
 
@@ -43,37 +52,71 @@ def find_robot(
         settings: the topics' namespace, the wanted type of command, how long to wait.
         place: where we look, in words.
         settle: s that go on being watched after the robot was seen.
+        lease: s that who was killed may be seen; None: LEASE.
 
     Returns:
         one of COMMAND_TYPES.
 
     Raises:
         TransportError: no robot is there in time, it takes another type of command than the
-            settings', it is not clear which, or there are several robots.
+            settings', it is not clear which, there are several robots, or others command it.
     """
+    lease = LEASE if lease is None else lease
     deadline = time.monotonic() + settings.connect_timeout
+    found = gone = math.inf  # when the robot is known, and when who was killed is not seen any more
+    while True:
+        seen, now = look(), time.monotonic()
+        if crowd := _crowd(seen, settings, place):
+            if gone == math.inf:
+                gone = now + lease
+                _tell_of_waiting(crowd, lease)
+            if now >= gone:
+                raise TransportError(f"{crowd.who}{crowd.cure}")
+            found, deadline = math.inf, max(deadline, now + settle + _AFTER)
+        elif seen.command_types and seen.odometry:
+            found = min(found, now)
+        if now - found >= settle or now >= deadline:
+            break
+        time.sleep(_PAUSE)
     wanted = TYPES.get(settings.command_type)
-    first: list[float] = []
-
-    def found() -> bool:
-        seen = look()
-        # of two, one may be a robot that was killed: it is seen for some seconds more
-        if not (seen.command_types and seen.odometry == 1):
-            return False
-        first.append(time.monotonic())
-        return wanted in seen.command_types or first[-1] - first[0] >= settle
-
-    until(found, deadline)
-    seen = look()
     if not seen.command_types or (not seen.odometry and wanted in (None, *seen.command_types)):
         raise TransportError(_nobody(seen, settings, place))
-    if seen.odometry > 1:
-        raise TransportError(
-            f"{seen.odometry} robots publish {topic(settings, ODOMETRY)} in {place}: all would be "
-            "driven, and their odometry mixed. Give each a namespace (link.namespace) or a domain "
-            "(link.domain_id) of its own; one that was ended just now is gone in a few seconds"
-        )
     return _chosen(seen.command_types, settings)
+
+
+class _Crowd(NamedTuple):
+    """What must not be there beside one robot and us."""
+
+    who: str
+    cure: str
+
+
+def _crowd(seen: Seen, settings: LinkSettings, place: str) -> _Crowd | None:
+    if seen.odometry > 1:
+        return _Crowd(
+            f"{seen.odometry} robots publish {topic(settings, ODOMETRY)} in {place}",
+            ": all would be driven, and their odometry mixed. Give each a namespace"
+            " (link.namespace) or a domain (link.domain_id) of its own",
+        )
+    if seen.drivers and seen.command_types and seen.odometry:
+        commands = topic(settings, COMMANDS)
+        return _Crowd(
+            f"the robot is commanded by others at {commands} in {place}: {', '.join(seen.drivers)}",
+            ". It would obey them and us, and what came of it would be learned from. End them: a"
+            f" second bridge, remote control, navigation (ros2 topic info -v {commands} names"
+            " nodes). What mixes or passes commands on, as twist_mux and the node deadman do, is"
+            " commanded at its own input: the ROS package has commands:=TOPIC for that",
+        )
+    return None
+
+
+def _tell_of_waiting(crowd: _Crowd, lease: float) -> None:
+    if lease > 0:
+        print(
+            f"{crowd.who}. Who was killed is seen for some time more: waiting for up to"
+            f" {lease:.0f} s",
+            flush=True,
+        )
 
 
 def _chosen(types: Set[str], settings: LinkSettings) -> str:

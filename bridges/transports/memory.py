@@ -10,7 +10,7 @@ from bridges.ros_messages import wrapped
 from bridges.transports import names
 from bridges.transports.base import LinkSettings, TransportError
 from bridges.transports.discovery import Seen, find_robot
-from bridges.transports.receiving import ReceivingEnd, ReceivingLink
+from bridges.transports.receiving import ONLY_LISTENS, ReceivingEnd, ReceivingLink
 
 
 class Wire:
@@ -41,9 +41,10 @@ class MemoryLink(ReceivingLink):
     def __init__(self, settings: LinkSettings, clock: Clock, wire: Wire = PROCESS) -> None:
         super().__init__(clock)
         self._settings, self._wire = settings, wire
+        self.drives = True
         self.place = _place(settings)
 
-    def open(self) -> None:
+    def open(self, *, drives: bool = True) -> None:
         """Connects; see RobotLink.
 
         Raises:
@@ -52,11 +53,20 @@ class MemoryLink(ReceivingLink):
         self.close()
         self.begin_anew()
         place = f"domain {names.domain_id(self._settings)} of this process"
-        self._type = find_robot(self._look, self._settings, place, settle=0.0)
+        self.drives = drives
+        self._type = find_robot(self._look, self._settings, place, settle=0.0, lease=0.0)
         self._wire.links.append(self)
+
+    def others(self) -> Sequence[str]:
+        """Who else commands the robot now, in words."""
+        links = [each for each in tuple(self._wire.links) if each.place == self.place]
+        driving = sum(each.drives for each in links if each is not self)
+        return ["another link of this process"] * (driving if self.drives else 0)
 
     def send(self, command: Command) -> None:
         """Gives the robot a velocity command."""
+        if not self.drives:
+            raise TransportError(ONLY_LISTENS)
         for end in self._ends():
             if end.command_type == self.command_type:
                 end.put(Command(float(command.linear), float(command.angular)))
@@ -86,7 +96,7 @@ class MemoryLink(ReceivingLink):
     def _look(self) -> Seen:
         ends = self._ends()
         topics = {f"{e.place[1]}": e.command_type for e in tuple(self._wire.ends)}
-        return Seen({end.command_type for end in ends}, len(ends), topics)
+        return Seen({end.command_type for end in ends}, len(ends), topics, self.others())
 
 
 class MemoryEnd(ReceivingEnd):

@@ -10,6 +10,7 @@ from bridges.clock import Clock, RealClock, VirtualClock
 from bridges.messages import Command, Odometry
 from bridges.transports.base import TransportError
 
+ONLY_LISTENS = "the link was opened to listen only: it sends no commands"
 KEPT = 1000  # the newest are kept where nobody takes them
 
 

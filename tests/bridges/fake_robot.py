@@ -24,6 +24,8 @@ class FakeRobot:
         change: (time, odometry) -> what is told instead.
         received: every command, with its time.
         delay: s from odometry's stamp to its arrival.
+        drivers: others who command it.
+        drives: whether the link was opened to send commands.
     """
 
     command_type = TWIST_STAMPED
@@ -37,13 +39,17 @@ class FakeRobot:
         self.closed = 0
         self.stamp_rate, self.stamp_offset = 1.0, 1000.0
         self.delay = 0.0
+        self.drives, self.drivers = True, list[str]()
         self._command = STOP
         self._sending: list[Odometry] = []
         self._arrived: list[Odometry] = []
         self._steps = 0
 
-    def open(self) -> None:
-        pass
+    def open(self, *, drives: bool = True) -> None:
+        self.drives = drives
+
+    def others(self) -> Sequence[str]:
+        return self.drivers if self.drives else ()
 
     def close(self) -> None:
         self.closed += 1

@@ -52,6 +52,15 @@ class Ros:
         """The names of the calls so far."""
         return [call[0] for call in self.calls]
 
+    def other_publisher(self, node: str, kind: type, topic: str) -> Node:
+        """A node of somebody else, that publishes at a topic."""
+        context = Context(self)
+        context.is_ok = True
+        namespace, _, name = node.rpartition("/")
+        made = Node(name, context=context, namespace=namespace.strip("/") or None)
+        made.publishers.append(Publisher(made, kind, topic))
+        return made
+
     def modules(self) -> dict[str, ModuleType]:
         """What can be imported, with this graph behind it."""
         policies = {name: SimpleNamespace(**{v: v for v in values}) for name, values in POLICIES}
@@ -168,6 +177,7 @@ class Node:
         start_parameter_services: bool = True,
     ) -> None:
         assert context.ok()
+        self.name = node_name
         self.context, self.namespace = context, f"/{namespace}" if namespace else ""
         self.publishers: list[Publisher] = []
         self.subscribed: list[tuple[type, str, Any]] = []
@@ -205,9 +215,14 @@ class Node:
     def _expanded(self, topic: str) -> str:
         return topic if topic.startswith("/") else f"{self.namespace}/{topic}"
 
+    def get_fully_qualified_name(self) -> str:
+        return f"{self.namespace}/{self.name}"
+
     def get_publishers_info_by_topic(self, topic_name: str) -> list[Any]:
         return [
             SimpleNamespace(
+                node_name=node.name,
+                node_namespace=node.namespace or "/",
                 topic_type=publisher.kind.ros_type,  # type: ignore[attr-defined]
                 qos_profile=SimpleNamespace(reliability=publisher.reliability),
             )
@@ -290,7 +305,8 @@ Empty = message("std_msgs/msg/Empty")
 def install(patch: pytest.MonkeyPatch) -> Ros:
     """Makes the stand-in what `import rclpy` finds, as long as the patch lasts."""
     ros = Ros()
-    patch.delitem(sys.modules, "bridges.transports.ros", raising=False)
+    for name in ("ros", "ros_session"):
+        patch.delitem(sys.modules, f"bridges.transports.{name}", raising=False)
     for name, module in ros.modules().items():
         patch.setitem(sys.modules, name, module)
     return ros

@@ -24,7 +24,7 @@ from cyclonedds.domain import DomainParticipant
 
 from bridges.clock import RealClock
 from bridges.messages import TWIST, TWIST_STAMPED, Command, Odometry
-from bridges.transports import dds
+from bridges.transports import dds, discovery
 from bridges.transports.base import LinkSettings, TransportError
 from bridges.transports.dds import DdsEnd, DdsLink
 from bridges.transports.dds_network import configuration
@@ -251,7 +251,10 @@ def test_who_watches_with_another_type_is_told_from_the_robot_by_the_setting(dom
     assert "command_type=twist" in words
 
 
-def test_two_robots_of_the_same_name_are_refused(domain: int) -> None:
+def test_two_robots_of_the_same_name_are_refused(
+    domain: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(discovery, "LEASE", 1.0)
     ends = [DdsEnd(LinkSettings(domain, namespace="twins"), RealClock()) for _ in range(2)]
     for end in ends:
         end.open()

@@ -4,26 +4,29 @@ from __future__ import annotations
 
 import re
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 
 import pytest
 
 from bridges.messages import TWIST, TWIST_STAMPED
 from bridges.transports import names
 from bridges.transports.base import LinkSettings, TransportError
-from bridges.transports.discovery import Seen, find_robot
+from bridges.transports.discovery import LEASE, Seen, find_robot
 
 SETTINGS = LinkSettings(connect_timeout=0.3)
 
 
-def seen(*types: str, odometry: int = 1, topics: int = 0) -> Callable[[], Seen]:
+def seen(
+    *types: str, odometry: int = 1, topics: int = 0, drivers: Sequence[str] = ()
+) -> Callable[[], Seen]:
     listed = {f"/topic{i:02}": "std_msgs/msg/String" for i in range(topics)}
-    return lambda: Seen(set(types), odometry, listed | {"/rosout": "rcl_interfaces/msg/Log"})
+    listed["/rosout"] = "rcl_interfaces/msg/Log"
+    return lambda: Seen(set(types), odometry, listed, drivers)
 
 
 def refused(look: Callable[[], Seen], settings: LinkSettings = SETTINGS) -> str:
     with pytest.raises(TransportError) as error:
-        find_robot(look, settings, "domain 7", settle=0.05)
+        find_robot(look, settings, "domain 7", settle=0.05, lease=0.1)
     return str(error.value)
 
 
@@ -48,12 +51,10 @@ def test_a_robot_that_comes_later_is_found() -> None:
     assert found == TWIST
 
 
-def test_the_wanted_type_needs_no_further_look() -> None:
-    began = time.monotonic()
+def test_the_wanted_type_is_taken_where_both_are() -> None:
     settings = LinkSettings(command_type="twist")
 
-    assert find_robot(seen(TWIST, TWIST_STAMPED), settings, "", settle=60.0) == TWIST
-    assert time.monotonic() - began < 10
+    assert find_robot(seen(TWIST, TWIST_STAMPED), settings, "", settle=0.05) == TWIST
 
 
 def test_somebody_who_watches_with_another_type_does_not_confuse() -> None:
@@ -73,14 +74,45 @@ def test_two_robots_are_refused_by_the_topic_and_the_domain() -> None:
     assert "link.namespace" in words
 
 
-def test_a_robot_that_takes_the_place_of_a_killed_one_is_waited_for() -> None:
-    began = time.monotonic()
+@pytest.mark.parametrize(
+    ("crowded", "words"),
+    [
+        (seen(TWIST, odometry=2), "2 robots publish /odom in domain 7. Who was killed"),
+        (seen(TWIST, drivers=["python"]), "at /cmd_vel in domain 7: python. Who was killed"),
+    ],
+)
+def test_who_was_killed_is_waited_for_longer_than_a_robot_and_told_once(
+    crowded: Callable[[], Seen], words: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    settings, began = LinkSettings(connect_timeout=0.05), time.monotonic()
 
     def look() -> Seen:
-        return seen(TWIST, odometry=2 if time.monotonic() - began < 0.15 else 1)()
+        return (crowded if time.monotonic() - began < 0.3 else seen(TWIST))()
 
-    assert find_robot(look, SETTINGS, "", settle=0.05) == TWIST
-    assert time.monotonic() - began > 0.15
+    assert find_robot(look, settings, "domain 7", settle=0.05, lease=60.0) == TWIST
+    assert 0.3 < time.monotonic() - began < 10
+    (told,) = capsys.readouterr().out.splitlines()
+    assert words in told
+    assert told.endswith("waiting for up to 60 s")
+
+
+def test_who_is_there_longer_than_the_dead_is_refused() -> None:
+    began = time.monotonic()
+
+    words = refused(seen(TWIST, drivers=["node /teleop (geometry_msgs/msg/Twist)"]))
+
+    assert time.monotonic() - began >= 0.1
+    assert "commanded by others at /cmd_vel in domain 7: node /teleop (geometry_msgs" in words
+    assert "End them" in words
+    assert "commands:=TOPIC" in words  # of a mixer
+
+
+def test_who_commands_no_robot_does_not_hide_that_there_is_none() -> None:
+    assert "no robot was found" in refused(seen(TWIST, odometry=0, drivers=["python"]))
+
+
+def test_the_dead_are_waited_for_as_long_as_fast_dds_and_cyclonedds_show_them() -> None:
+    assert LEASE > 20.0
 
 
 def test_a_type_that_the_bridge_does_not_send_is_named() -> None:

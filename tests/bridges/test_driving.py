@@ -70,6 +70,22 @@ def test_a_robot_that_drives_straight_reaches_the_goal_ahead() -> None:
     assert list(episode.commands) == fake.received
 
 
+def test_an_episode_in_which_somebody_else_drives_is_not_learned_from() -> None:
+    fake = FakeRobot()
+
+    def act(obs: np.ndarray) -> Act:
+        if obs[0] > 0.5:
+            fake.drivers = ["node /teleop"]
+        return steered(AHEAD)(obs)
+
+    episode = driven(fake, act)
+
+    assert (episode.ending, episode.whole) == ("other driver", False)
+    assert 4 <= len(episode.steps) <= 6
+    assert [command for _, command in fake.received[-5:]] == [STOP] * 5
+    assert problem_of(episode, 100) is None
+
+
 def test_the_horizon_ends_an_episode() -> None:
     episode = driven(FakeRobot(), steered(robot_bundles.constant((-1.0, 0.0))))
 

@@ -7,7 +7,7 @@ import pytest
 from bridges.clock import RealClock, VirtualClock
 from bridges.messages import Command, Odometry
 from bridges.transports.base import LinkSettings, TransportError
-from bridges.transports.memory import MemoryEnd, pair
+from bridges.transports.memory import MemoryEnd, MemoryLink, Wire, pair
 from bridges.transports.receiving import ReceivingEnd, ReceivingLink
 
 
@@ -58,6 +58,17 @@ def test_pairs_do_not_meet() -> None:
 
     assert list(end.take_commands()) == [Command(0.1, 0.0)]
     assert list(other.take_commands()) == []
+
+
+def test_another_link_of_the_process_is_seen() -> None:
+    wire, settings, clock = Wire(), LinkSettings(connect_timeout=0.05), RealClock()
+    MemoryEnd(settings, clock, wire).open()
+    elsewhere = LinkSettings(namespace="elsewhere")
+    link, other = (MemoryLink(each, clock, wire) for each in (settings, elsewhere))
+    wire.links += [link, other]
+    assert list(link.others()) == []
+    wire.links.append(MemoryLink(settings, clock, wire))
+    assert list(link.others()) == ["another link of this process"]
 
 
 def test_a_closed_end_is_nobody() -> None:

@@ -33,6 +33,16 @@ def drive(robot: TurtleBot3, fake: FakeRobot, action: tuple[float, float], secon
     return robot.hold(fake.clock.now() + seconds)
 
 
+def appears(fake: FakeRobot, after: float) -> None:
+    """Somebody else begins to command the robot."""
+
+    def change(now: float, odometry: Odometry) -> Sequence[Odometry]:
+        fake.drivers = ["node /teleop"] if now > after else []
+        return [odometry]
+
+    fake.change = change
+
+
 def stops_at_the_end(fake: FakeRobot) -> int:
     commands = [command for _, command in fake.received]
     return next((i for i, c in enumerate(reversed(commands)) if c != STOP), len(commands))
@@ -338,6 +348,35 @@ def test_silence_is_told_in_real_seconds() -> None:
     with pytest.raises(BridgeError, match=r"no odometry came within 0\.1 s"):
         TurtleBot3(link, clock, replace(rules(), patience=0.8)).connect()
     end.close()
+
+
+def test_another_driver_stops_the_robot_and_lets_no_episode_begin() -> None:
+    fake = FakeRobot()
+    robot = connected(fake)
+    appears(fake, after=3.0)
+
+    fault = drive(robot, fake, (0.1, 0.0), 10.0)
+
+    assert fault is not None
+    assert fault.reason == "other driver"
+    assert "node /teleop" in fault.detail
+    assert stops_at_the_end(fake) == STOPS
+    assert max(when for when, command in fake.received if command != STOP) < 3.15
+    with pytest.raises(RobotFault, match="other driver"):
+        robot.send_action((0.1, 0.0))
+    with pytest.raises(RobotFault, match="other driver"):
+        robot.begin()
+
+
+def test_another_driver_lets_no_robot_connect_but_one_that_is_only_listened_to() -> None:
+    fake = FakeRobot()
+    appears(fake, after=0.0)
+    with pytest.raises(BridgeError, match="others command the robot, too: node /teleop"):
+        TurtleBot3(fake, fake.clock, rules()).connect()
+    assert fake.closed == 1
+
+    robot = connected(fake, dry_run=True)
+    assert drive(robot, fake, (0.1, 0.0), 1.0) is None
 
 
 def test_a_link_that_receives_no_more_stops_the_robot(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -12,7 +12,7 @@ import pytest
 
 from bridges.clock import RealClock
 from bridges.messages import TWIST, TWIST_STAMPED, Command, Odometry
-from bridges.transports import choice
+from bridges.transports import choice, discovery
 from bridges.transports.base import LinkSettings, TransportError
 from tests.bridges import rclpy_stand_in
 
@@ -24,8 +24,9 @@ def ros(monkeypatch: pytest.MonkeyPatch) -> Iterator[rclpy_stand_in.Ros]:
     with monkeypatch.context() as patch:
         yield rclpy_stand_in.install(patch)
     # what was imported meanwhile has the stand-in inside
-    sys.modules.pop("bridges.transports.ros", None)
-    vars(sys.modules["bridges.transports"]).pop("ros", None)
+    for name in ("ros", "ros_session"):
+        sys.modules.pop(f"bridges.transports.{name}", None)
+        vars(sys.modules["bridges.transports"]).pop(name, None)
 
 
 def ends(**settings: Any) -> tuple[Any, Any]:
@@ -229,6 +230,75 @@ def test_signal_handlers_that_would_end_the_link_too_early_are_told(
     robot.close()
 
 
+@pytest.mark.parametrize(
+    ("node", "kind", "words"),
+    [
+        ("/teleop", rclpy_stand_in.Twist, "node /teleop (geometry_msgs/msg/Twist)"),
+        ("/lab/emrld_bridge", rclpy_stand_in.TwistStamped, "node /lab/emrld_bridge ("),
+        ("/_CREATED_BY_BARE_DDS_APP_", rclpy_stand_in.TwistStamped, "a program without a name in"),
+    ],
+)
+def test_who_else_publishes_commands_is_refused_and_seen_later(
+    ros: rclpy_stand_in.Ros, monkeypatch: pytest.MonkeyPatch, node: str, kind: type, words: str
+) -> None:
+    """A second bridge too, whose node has our name."""
+    monkeypatch.setattr(discovery, "LEASE", 0.05)
+    link, robot = ends(namespace="lab")
+    link.open()
+    assert list(link.others()) == []
+    other = ros.other_publisher(node, kind, "/lab/cmd_vel")
+    (seen,) = link.others()
+    assert words in seen
+    with pytest.raises(TransportError, match="commanded by others at /lab/cmd_vel") as error:
+        link.open()
+    assert words in str(error.value)
+    before = len(ros.nodes)
+    link.open(drives=False)  # a dry run: others may, and see nobody beside them
+    assert list(link.others()) == []
+    assert [each.topic for each in ros.nodes[before].publishers] == ["/lab/reset"]
+    with pytest.raises(TransportError, match="listen only"):
+        link.send(Command(0.1, 0.0))
+    other.destroy_node()
+    link.open()
+    link.send(Command(0.1, 0.0))
+    link.close()
+    robot.close()
+
+
+def test_behind_a_relay_only_its_input_is_looked_at(ros: rclpy_stand_in.Ros) -> None:
+    """The node deadman takes cmd_vel_in, which the bridge publishes then, and publishes cmd_vel."""
+    robot = choice.end("rclpy", LinkSettings(7), RealClock())
+    robot.open()
+    deadman = ros.other_publisher("/emrld_deadman", rclpy_stand_in.TwistStamped, "/cmd_vel")
+    received: list[Any] = []
+    deadman.subscribed.append((rclpy_stand_in.TwistStamped, "/cmd_vel_in", received.append))
+    deadman.executor = ros.nodes[0].executor
+    ros.remapped = {"/cmd_vel": "/cmd_vel_in"}
+    link = choice.link("rclpy", LinkSettings(7, connect_timeout=LIMIT), RealClock())
+    link.open()
+    assert list(link.others()) == []
+    ros.other_publisher("/teleop", rclpy_stand_in.Twist, "/cmd_vel_in")
+    assert list(link.others()) == ["node /teleop (geometry_msgs/msg/Twist)"]
+    link.close()
+    robot.close()
+
+
+def test_a_graph_that_cannot_be_read_is_told(
+    ros: rclpy_stand_in.Ros, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    link, robot = ends()
+    link.open()
+
+    def fail(*_: Any) -> None:
+        raise RuntimeError("invalid handle")
+
+    monkeypatch.setattr(rclpy_stand_in.Node, "get_publishers_info_by_topic", fail)
+    with pytest.raises(TransportError, match="graph cannot be read: invalid handle"):
+        link.others()
+    link.close()
+    robot.close()
+
+
 def test_what_only_dds_has_is_refused(ros: rclpy_stand_in.Ros) -> None:
     for settings in (LinkSettings(peers=["10.0.0.1"]), LinkSettings(interface="wlan0")):
         with pytest.raises(TransportError, match="are for robot=dds"):
@@ -248,7 +318,10 @@ def test_a_ros_that_does_not_start_is_told(
     assert ros.names() == ["context.try_shutdown"]
 
 
-def test_two_robots_of_the_same_name_are_refused(ros: rclpy_stand_in.Ros) -> None:
+def test_two_robots_of_the_same_name_are_refused(
+    ros: rclpy_stand_in.Ros, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(discovery, "LEASE", 0.1)
     settings = LinkSettings(7, connect_timeout=0.3)
     robots = [choice.end("auto", settings, RealClock()) for _ in range(2)]
     for robot in robots:

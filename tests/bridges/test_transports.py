@@ -19,7 +19,7 @@ from benchmarks.bridge_latency import round_trips
 from benchmarks.echo_robot import echo
 from bridges.clock import RealClock
 from bridges.messages import TWIST, TWIST_STAMPED, Command, Odometry
-from bridges.transports import choice
+from bridges.transports import choice, discovery
 from bridges.transports.base import LinkSettings, RobotLink, TransportError
 from bridges.transports.memory import MemoryEnd
 from tests.bridges.conftest import echo_robots
@@ -120,12 +120,36 @@ def test_another_type_of_command_is_refused(transport: str, domain: int) -> None
     assert f"takes {TWIST_STAMPED} at /cmd_vel, not {TWIST}" in words
 
 
-def test_two_robots_in_one_place_are_refused(transport: str, domain: int) -> None:
+def test_two_robots_in_one_place_are_refused(
+    transport: str, domain: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(discovery, "LEASE", 1.0)
     for wanted in ("auto", "twist"):
         settings = LinkSettings(domain, "twins", command_type=wanted, connect_timeout=1.0)
         words = refusal(transport, settings)
 
         assert f"2 robots publish /twins/odom in domain {domain}" in words
+
+
+def test_a_second_link_is_refused_unless_it_only_listens(
+    transport: str, domain: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(discovery, "LEASE", 0.5)
+    settings = LinkSettings(domain, command_type="twist_stamped", connect_timeout=LIMIT)
+    listener = choice.link(transport, settings, RealClock())
+    with opened(transport, domain) as link:
+        assert "commanded by others at /cmd_vel" in refusal(transport, settings)
+        assert list(link.others()) == []  # a link that is refused has not commanded
+        listener.open(drives=False)
+        assert list(listener.others()) == []
+        link.send(Command(0.25, 0.5))
+        assert answers(listener, 1)[0].x == 0.25
+        with pytest.raises(TransportError, match="listen only"):
+            listener.send(Command(0.1, 0.0))
+        assert list(link.others()) == []
+    with opened(transport, domain) as link:  # who listens is in nobody's way
+        assert link.command_type == TWIST_STAMPED
+    listener.close()
 
 
 def test_where_nobody_is_that_is_told(transport: str, domain: int) -> None:
