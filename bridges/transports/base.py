@@ -35,6 +35,11 @@ class LinkSettings:
         choices=("auto", "twist", "twist_stamped"),
     )
     connect_timeout: float = setting(10.0, "real s to wait for the robot to be found", above=0)
+    alone: bool = setting(
+        True,
+        "nobody else may command the robot; false: others may, such as a person's joystick, and "
+        "what comes of it is learned from",
+    )
 
 
 class RobotLink(Protocol):
@@ -65,7 +70,9 @@ class RobotLink(Protocol):
         ...
 
     def others(self) -> Sequence[str]:
-        """Who else may command the robot now, in words; none for a link that only listens.
+        """Who else may command the robot now, in words.
+
+        None for a link that only listens, or whose settings allow others.
 
         Cheap enough for every tick: nothing is waited for. They need not send anything.
 

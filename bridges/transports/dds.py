@@ -52,7 +52,7 @@ class DdsLink(ReceivingLink):
         self._node = node = Node(self._settings, self.fail)
         try:
             reader = node.reader(names.ODOMETRY, ODOMETRY, self._take_odometry)
-            if drives:
+            if drives and self._settings.alone:
                 node.watch(names.COMMANDS)
             node.start()
             self._reset = node.writer(names.RESET, EMPTY)

@@ -105,7 +105,8 @@ def _crowd(seen: Seen, settings: LinkSettings, place: str) -> _Crowd | None:
             ". It would obey them and us, and what came of it would be learned from. End them: a"
             f" second bridge, remote control, navigation (ros2 topic info -v {commands} names"
             " nodes). What mixes or passes commands on, as twist_mux and the node deadman do, is"
-            " commanded at its own input: the ROS package has commands:=TOPIC for that",
+            " commanded at its own input: the ROS package has commands:=TOPIC for that. With"
+            " link.alone=false others may command it, too",
         )
     return None
 

@@ -61,7 +61,9 @@ class MemoryLink(ReceivingLink):
         """Who else commands the robot now, in words."""
         links = [each for each in tuple(self._wire.links) if each.place == self.place]
         driving = sum(each.drives for each in links if each is not self)
-        return ["another link of this process"] * (driving if self.drives else 0)
+        return ["another link of this process"] * (
+            driving if self.drives and self._settings.alone else 0
+        )
 
     def send(self, command: Command) -> None:
         """Gives the robot a velocity command."""

@@ -68,7 +68,7 @@ class RosLink(ReceivingLink):
             node = session.node
             node.create_subscription(OdometryMessage, names.ODOMETRY, self._take_odometry, _QOS)
             self._reset = node.create_publisher(Empty, names.RESET, _QOS)
-            session.watches = drives
+            session.watches = drives and self._settings.alone
             session.start()
             self._type = find_robot(session.look, self._settings, session.place)
             if drives:

@@ -11,6 +11,7 @@ import threading
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -147,6 +148,13 @@ def test_a_second_link_is_refused_unless_it_only_listens(
         with pytest.raises(TransportError, match="listen only"):
             listener.send(Command(0.1, 0.0))
         assert list(link.others()) == []
+        listener.close()
+        both = choice.link(transport, replace(settings, alone=False), RealClock())
+        both.open()  # is not refused
+        assert list(both.others()) == []
+        assert discovery.until(lambda: bool(link.others()), time.monotonic() + LIMIT)
+        both.close()
+        listener.open(drives=False)
     with opened(transport, domain) as link:  # who listens is in nobody's way
         assert link.command_type == TWIST_STAMPED
     listener.close()
