@@ -71,11 +71,11 @@ def limited(process: subprocess.Popen[str]) -> Iterator[None]:
 
 
 @contextmanager
-def echo_robots(transport: str, domain: int, *robots: str) -> Iterator[subprocess.Popen[str]]:
-    """Runs benchmarks.echo_robot in a process of its own, `namespace:command_type` each."""
+def program(*arguments: str, **variables: str) -> Iterator[subprocess.Popen[str]]:
+    """Runs Python in a process of its own from when it says "ready", and kills it at the end."""
     process = subprocess.Popen(
-        [sys.executable, "-m", "benchmarks.echo_robot", transport, str(domain), *robots],
-        env={**os.environ, "PYTHONPATH": str(ROOT)},
+        [sys.executable, *arguments],
+        env={**os.environ, "PYTHONPATH": str(ROOT), **variables},
         stdin=subprocess.PIPE,
         stdout=subprocess.PIPE,
         text=True,
@@ -86,13 +86,21 @@ def echo_robots(transport: str, domain: int, *robots: str) -> Iterator[subproces
         with limited(process):
             assert process.stdout.readline() == "ready\n"
         yield process
-        process.stdin.close()
-        process.wait(LIMIT)
     finally:
         process.kill()
         process.wait(LIMIT)
         process.stdin.close()
         process.stdout.close()
+
+
+@contextmanager
+def echo_robots(transport: str, domain: int, *robots: str) -> Iterator[subprocess.Popen[str]]:
+    """Runs benchmarks.echo_robot, `namespace:command_type` each, and ends it in good order."""
+    with program("-m", "benchmarks.echo_robot", transport, str(domain), *robots) as process:
+        yield process
+        assert process.stdin is not None
+        process.stdin.close()
+        process.wait(LIMIT)
 
 
 @pytest.fixture

@@ -2,13 +2,10 @@
 
 from __future__ import annotations
 
-import os
 import signal
 import subprocess
-import sys
 import time
-from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import AbstractContextManager
 from pathlib import Path
 
 import pytest
@@ -21,7 +18,7 @@ from bridges.transports import discovery
 from bridges.transports.base import LinkSettings, TransportError
 from bridges.transports.dds import DdsEnd, DdsLink
 from bridges.transports.dds_node import Node
-from tests.bridges.conftest import LOOPBACK, ROOT, limited
+from tests.bridges.conftest import LOOPBACK, program
 from tests.bridges.wire import LIMIT, World, ended, stands, until
 
 WRITER = """
@@ -36,29 +33,11 @@ sys.stdin.read()
 """
 
 
-@contextmanager
 def writer(
     domain: int, namespace: str, kind: str, configuration: str = LOOPBACK
-) -> Iterator[subprocess.Popen[str]]:
+) -> AbstractContextManager[subprocess.Popen[str]]:
     """Another program that may command a robot, and sends nothing."""
-    process = subprocess.Popen(
-        [sys.executable, "-c", WRITER, str(domain), namespace, kind],
-        env={**os.environ, "PYTHONPATH": str(ROOT), "CYCLONEDDS_URI": configuration},
-        stdin=subprocess.PIPE,
-        stdout=subprocess.PIPE,
-        text=True,
-    )
-    assert process.stdin is not None
-    assert process.stdout is not None
-    try:
-        with limited(process):
-            assert process.stdout.readline() == "ready\n"
-        yield process
-    finally:
-        process.kill()
-        process.wait(LIMIT)
-        process.stdin.close()
-        process.stdout.close()
+    return program("-c", WRITER, str(domain), namespace, kind, CYCLONEDDS_URI=configuration)
 
 
 def test_a_second_driver_is_refused_and_one_who_comes_later_ends_the_episode(
