@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import os
 import subprocess
-import sys
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
@@ -21,6 +20,8 @@ os.environ["XLA_FLAGS"] = f"--xla_cpu_use_fusion_emitters=false {os.environ.get(
 
 import jax
 import pytest
+
+from tests.forking import Server
 
 jax.config.update("jax_platforms", "cpu")
 # A shape that broadcasts by accident is an error, not a wrong number.
@@ -69,17 +70,8 @@ def environment(tmp_path_factory: pytest.TempPathFactory) -> dict[str, str]:
 
 
 @pytest.fixture(scope="session")
-def command(environment: dict[str, str]) -> Command:
-    """Runs `python -m emrld_jax.<name> arguments` to its end."""
-
-    def run(name: str, *arguments: str) -> subprocess.CompletedProcess[str]:
-        return subprocess.run(
-            [sys.executable, "-m", f"emrld_jax.{name}", *arguments],
-            check=False,
-            env=environment,
-            capture_output=True,
-            text=True,
-            timeout=240,
-        )
-
-    return run
+def command(environment: dict[str, str]) -> Iterator[Command]:
+    """Runs what `python -m emrld_jax.<name> arguments` does to its end, in a process of its own."""
+    server = Server(environment)
+    yield lambda name, *arguments: server.run(f"emrld_jax.{name}", arguments)
+    server.close()
