@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import csv
 import json
+import shutil
 import signal
 import subprocess
 import sys
@@ -15,9 +16,16 @@ import numpy as np
 import pytest
 from matplotlib.figure import Figure
 
+from emrld_jax import settings
 from emrld_jax.analysis.groups import Group, group_runs
 from emrld_jax.analysis.loading import load_runs
+from emrld_jax.runs import cli
+from emrld_jax.runs.saved import save_config
+from emrld_jax.runs.setup import set_up
+from emrld_jax.runs.variants import variants
 from emrld_jax.study import figures, tables
+from emrld_jax.study.plan import ReproduceConfig, programs, studies
+from emrld_jax.study.programs import Program
 from tests.analysis.conftest import ITERATIONS, write, write_run
 from tests.conftest import Command
 
@@ -196,9 +204,20 @@ def test_pictures_are_written_as_png_and_svg(tmp_path: Path) -> None:
     assert {path.suffix for path in tmp_path.glob("curves.*")} == {".png", ".svg"}
 
 
+def leave_finished(program: Program, trained: Path) -> None:
+    """Makes a trained run's files those of each of the program's runs, with their own settings."""
+    setup = set_up(cli.train_config(program.arguments(program.seeds[0], len(program.seeds))))
+    for own in (variant.config for variant in variants(setup.config)):
+        point = tuple(settings.value(own, name) for name, _ in program.grid)
+        folder = program.folder(own.seed, point)
+        shutil.copytree(trained, folder.path, ignore=shutil.ignore_patterns("evaluations"))
+        save_config(own, folder.config)
+
+
 def test_all_figures_from_one_command_that_is_stopped_once(
     environment: dict[str, str], command: Command, tmp_path: Path
 ) -> None:
+    """Of each kind of program one is trained; others, which only differ in numbers, are copies."""
     out = tmp_path / "made"
     chosen = ("envs=[point2d,two_wheeled_drift]", "qualities=[optimal]", "algos=[emrld]")
     arguments = ("figure=all", "fast=true", *chosen, "seeds=1", "steps=2", f"out={out}")
@@ -217,6 +236,13 @@ def test_all_figures_from_one_command_that_is_stopped_once(
     assert first.returncode == 128 + signal.SIGINT, printed
     assert "stopped; the same command goes on where it was" in printed
     trained = results.stat().st_mtime_ns
+
+    config = cli.updated(ReproduceConfig(), cli.parse(arguments, ReproduceConfig(), {}))
+    kept = ("main/emrld", "sensitivity/emrld/w_rl", "without_w_bc/emrld")
+    for program in programs(studies(config)):
+        kind = "/".join([program.runs.name, program.algo, *(name for name, _ in program.grid)])
+        if kind not in kept:
+            leave_finished(program, results.parent)
 
     done = command("reproduce", *arguments)
     assert done.returncode == 0, done.stdout + done.stderr
