@@ -10,7 +10,7 @@ Actions are in physical units and may lie outside the bounds, as the expert's ne
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -180,8 +180,16 @@ def _recording(where: str, entry: Mapping[str, Any], env: Env) -> Recording:
         if value.size != np.prod(shape, dtype=int):
             raise DemoError(f"{where} {name} has shape {value.shape}, not {shape}")
         task[name] = value.reshape(shape)
-    bounded = jax.vmap(lambda a: env.to_policy(env.to_physical(env.to_policy(a))))(action)
-    return Recording(obs, np.asarray(bounded), task)
+    bounded = _of_rows(lambda a: env.to_policy(env.to_physical(env.to_policy(a))), action)
+    return Recording(obs, bounded, task)
+
+
+def _of_rows(function: Callable[..., jax.Array], *rows: np.ndarray) -> np.ndarray:
+    """A function of each row, [L, ..]; padded to a power of two, so that few sizes are compiled."""
+    count = len(rows[0])
+    more = (1 << (count - 1).bit_length()) - count
+    padded = (np.pad(r, [(0, more)] + [(0, 0)] * (r.ndim - 1), mode="edge") for r in rows)
+    return np.asarray(jax.vmap(function)(*map(jnp.asarray, padded)))[:count]
 
 
 def _predict(recording: Recording, obs: np.ndarray, action: np.ndarray, env: Env) -> np.ndarray:
@@ -189,11 +197,7 @@ def _predict(recording: Recording, obs: np.ndarray, action: np.ndarray, env: Env
     if len(obs) == 0:
         return obs
     task = type(env.train_tasks())(**recording.task)
-    return np.asarray(
-        jax.vmap(lambda o, a: env.step(env.reset_to(o, task), a).obs)(
-            jnp.asarray(obs), jnp.asarray(action)
-        )
-    )
+    return _of_rows(lambda o, a: env.step(env.reset_to(o, task), a).obs, obs, action)
 
 
 def _is_shifted(path: Path, recordings: list[Recording], env: Env) -> bool:
