@@ -12,11 +12,11 @@ import pytest
 
 from emrld_jax.runs.camera import SOFTWARE
 from tests.conftest import Command
-from tests.runs.conftest import TINY
+from tests.runs.conftest import SHORT, TINY
 from tests.runs.curves import assert_same_curve
 from tests.runs.test_run import assert_same_run
 
-START = ("env=half_cheetah", *TINY)
+START = ("env=half_cheetah", *TINY, SHORT)
 
 
 @pytest.fixture(scope="session")
@@ -32,7 +32,8 @@ def alone(command: Command, tmp_path_factory: pytest.TempPathFactory) -> Path:
 def test_devices_share_tasks_and_seeds(command: Command, alone: Path, tmp_path: Path) -> None:
     done = command("train", *START, f"runs={tmp_path}", "num_seeds=2", "devices=4")
     assert done.returncode == 0, done.stderr
-    assert_same_curve(tmp_path / "half_cheetah" / "emrld-optimal" / "seed0", alone)
+    folder = tmp_path / "half_cheetah" / "emrld-optimal" / "seed0"
+    assert_same_curve(folder, alone, later=1e-2)  # contacts magnify rounding
 
 
 def test_a_resumed_run_is_the_uninterrupted_one(
