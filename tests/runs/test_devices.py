@@ -59,7 +59,8 @@ def test_outer_losses_are_of_all_tasks_wherever_they_are(
         assert done.returncode == 0, done.stderr
         outer = "-outer-own" * (algo == "gmps")
         folders.append(runs / "point2d" / f"{algo}-lines{outer}" / "seed0")
-    assert_same_curve(*folders)
+    alone, shared = folders
+    assert_same_curve(shared, alone)
 
 
 ON_FOUR = """
