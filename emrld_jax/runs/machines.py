@@ -17,6 +17,7 @@ from emrld_jax.runs.checkpoints import Progressed
 from emrld_jax.runs.config import ConfigError, TrainConfig
 from emrld_jax.runs.provenance import software
 from emrld_jax.runs.rendezvous import meet
+from envs_jax.threads import at_least
 
 EVALUATION_S = 24 * 3600  # that other processes wait for the first one at the end
 
@@ -126,11 +127,8 @@ def split_cpu(parts: int) -> None:
         r"xla_force_host_platform_device_count=(\d+)", os.environ.get("XLA_FLAGS", "")
     )
     parts = int(forced.group(1)) if forced else parts
-    if parts == 1:
-        return
-    # a device that waits for another one blocks a thread: with too few of them all wait forever
-    os.environ.setdefault("NPROC", str(max(os.cpu_count() or 1, 2 * parts)))
-    if not forced:
+    at_least(2 * parts)  # a device that waits for another one blocks a thread
+    if parts > 1 and not forced:
         with suppress(RuntimeError):  # somebody has used JAX before: who counts devices will see
             jax.config.update("jax_num_cpu_devices", parts)
 

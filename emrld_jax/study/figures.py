@@ -121,8 +121,14 @@ def _panel(axes: Axes, lines: Sequence[Line], title: str, against: str) -> None:
     axes.set(xlabel=AXES[against], ylabel="return after adaptation")
     axes.grid(alpha=0.25)
     if lines:
-        beside = {"loc": "upper left", "bbox_to_anchor": (1.0, 1.0), "frameon": False}
-        axes.legend(title="line (seeds)", fontsize=7, title_fontsize=7, **beside)
+        axes.legend(
+            title="line (seeds)",
+            fontsize=7,
+            title_fontsize=7,
+            frameon=False,
+            loc="upper left",
+            bbox_to_anchor=(1.0, 1.0),  # beside the axes
+        )
 
 
 def _demonstrated(axes: Axes, groups: Sequence[Group]) -> None:

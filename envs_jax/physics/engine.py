@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 from math import prod
 from threading import Lock
 from typing import Any
@@ -14,6 +13,7 @@ from mujoco.batch import Batch, SimulationError
 
 from envs_jax.physics import Advanced
 from envs_jax.physics.models import silent_mujoco
+from envs_jax.threads import at_least, usable_cores
 
 BROKEN = [  # MuJoCo's warnings that a simulation is no longer one
     int(getattr(mujoco.mjtWarning, f"mjWARN_BAD{name}"))
@@ -34,8 +34,10 @@ class Engine:
 
     def __init__(self, model: Any, frame_skip: int, threads: int | None = None) -> None:
         self._nq, self._nv = model.nq, model.nv
+        # a call blocks one until another has copied its arguments (JAX does so beyond 100 kB)
+        at_least(2)
         self._model, self._frame_skip = model, frame_skip
-        self._threads = threads or _usable_cores()
+        self._threads = threads or usable_cores()
         self._batches: dict[int, Batch] = {}
         self._lock = Lock()  # devices of one process call at the same time; a batch serves one
 
@@ -86,10 +88,3 @@ class Engine:
         bodies[:, :nq] = batch.qpos
         bodies[:, nq : nq + nv] = batch.qvel
         bodies[:, nq + nv :] = batch.qacc_warmstart
-
-
-def _usable_cores() -> int:
-    """How many cores this process may run on."""
-    if hasattr(os, "sched_getaffinity"):
-        return len(os.sched_getaffinity(0))
-    return os.cpu_count() or 1
