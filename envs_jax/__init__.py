@@ -10,8 +10,11 @@ from envs_jax.base import Env, State
 from envs_jax.brax_like import Tasks, from_brax
 from envs_jax.half_cheetah import HalfCheetah
 from envs_jax.point2d import Point2D
+from envs_jax.threads import at_least
 from envs_jax.two_wheeled import TwoWheeled
 from envs_jax.two_wheeled_drift import TwoWheeledDrift
+
+at_least(2)  # physics.engine says why; only before JAX is used can it be said
 
 __all__ = ["Env", "State", "Tasks", "from_brax", "make", "names"]
 

@@ -13,7 +13,7 @@ from mujoco.batch import Batch, SimulationError
 
 from envs_jax.physics import Advanced
 from envs_jax.physics.models import silent_mujoco
-from envs_jax.threads import at_least, usable_cores
+from envs_jax.threads import usable_cores
 
 BROKEN = [  # MuJoCo's warnings that a simulation is no longer one
     int(getattr(mujoco.mjtWarning, f"mjWARN_BAD{name}"))
@@ -23,6 +23,9 @@ BROKEN = [  # MuJoCo's warnings that a simulation is no longer one
 
 class Engine:
     """Advances bodies with the engine in C.
+
+    A call may block a thread of JAX's until another has copied its arguments, so JAX needs two:
+    `envs_jax` sees to it when it is imported, which has to be before JAX is used.
 
     The results do not depend on the number of threads, nor on what is simulated beside.
 
@@ -34,8 +37,6 @@ class Engine:
 
     def __init__(self, model: Any, frame_skip: int, threads: int | None = None) -> None:
         self._nq, self._nv = model.nq, model.nv
-        # a call blocks one until another has copied its arguments (JAX does so beyond 100 kB)
-        at_least(2)
         self._model, self._frame_skip = model, frame_skip
         self._threads = threads or usable_cores()
         self._batches: dict[int, Batch] = {}
