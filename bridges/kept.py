@@ -18,8 +18,9 @@ ADAPTED = "adapted.safetensors"
 
 
 def folder_of(config: RunConfig) -> Path:
-    """Where a command writes: as it says, or by the bundle's name, real robots apart."""
+    """Where a command writes: as it says, or by the bundle's name; what cannot be mixed, apart."""
     where = "simulated" if config.robot == "memory" else "robot"
+    where = "dry_run" if config.dry_run else where
     return Path(config.out or f"{where}/{Path(str(config.bundle)).stem}")
 
 

@@ -113,6 +113,8 @@ class Session:
         kept.check_execution(self.out, self._first)
         driver = self._first
         while not driver.stage.adapted:
+            if kept.made_of(self.out, driver) is None:
+                _adapting()  # whoever lacks JAX learns so before the robot is driven
             self.collect(driver)
             driver = self.adapt(driver)
         self.execute(driver)
@@ -215,6 +217,7 @@ def _adapting() -> ModuleType:
     except ImportError as error:
         raise BridgeError(
             f"adapting needs JAX and what else emrld-jax depends on ({error}); copy the folder to "
-            "a machine that has it, run mode=adapt there, and bring adapted.safetensors back"
+            "a machine that has it, run mode=adapt there, and bring adapted.safetensors back (here "
+            "mode=collect drives the episodes, mode=execute the adapted bundle)"
         ) from error
     return adapting

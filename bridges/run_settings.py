@@ -34,7 +34,8 @@ class RunConfig:
     out: str | None = setting(
         None,
         "folder for recordings, adapted policies, picture and summary; what is there is gone on "
-        "with; null: robot/NAME of the bundle, simulated/NAME with robot=memory",
+        "with; null: robot/NAME of the bundle, simulated/NAME with robot=memory, dry_run/NAME with "
+        "dry_run=true",
     )
     recordings: list[str] = setting(
         [], "folders to adapt from, in the order of the inner steps; []: those in out"
@@ -49,7 +50,9 @@ class RunConfig:
         choices=("ask", "service"),
     )
     yes: bool = setting(False, "nobody need confirm that the robot may move; --yes is the same")
-    dry_run: bool = setting(False, "publish nothing: the robot does not move")
+    dry_run: bool = setting(
+        False, "publish nothing: the robot does not move; with mode=collect or mode=execute"
+    )
     residual_angular_velocity: float = setting(
         0.0,
         "rad a control period that are added to the policy's turns: the paper's drift on a robot "

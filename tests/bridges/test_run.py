@@ -369,13 +369,19 @@ def test_a_robots_computer_needs_neither_jax_nor_matplotlib(main: Run, tmp_path:
         "missing = ('jax', 'flax', 'matplotlib', 'omegaconf', 'hydra')\n"
         "sys.modules.update(dict.fromkeys(missing))\n"
         "from bridges import run\n"
+        "try:\n"
+        "    sys.argv.append('mode=all')\n"
+        "    run.main()\n"
+        "except run.BridgeError as error:\n"
+        "    print('refused before it drives:', error)\n"
+        "sys.argv[-1] = 'mode=collect'\n"
         "print(run.main())\n"
         "sys.argv[1:] = [x for x in sys.argv[1:] if 'mode' not in x] + ['mode=adapt']\n"
         "run.run_command(run.main)"
     )
     given = (f"bundle={tmp_path}/policy.safetensors", f"out={tmp_path}/out", "robot=memory")
     done = subprocess.run(
-        [sys.executable, "-c", code, *given, "mode=collect", "episodes=1"],
+        [sys.executable, "-c", code, *given, "episodes=1"],
         env={**os.environ, "PYTHONPATH": str(ROOT)},
         capture_output=True,
         text=True,
@@ -383,6 +389,7 @@ def test_a_robots_computer_needs_neither_jax_nor_matplotlib(main: Run, tmp_path:
         check=False,
     )
 
+    assert done.stdout.startswith("refused before it drives: adapting needs JAX")
     assert "no picture, for matplotlib is missing\n0\n" in done.stdout
     assert done.returncode == 2
     assert done.stderr.startswith("error: adapting needs JAX")

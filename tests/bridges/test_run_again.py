@@ -70,6 +70,7 @@ def test_simulated_episodes_have_another_folder_by_default() -> None:
     given = {name: folder_of(RunConfig("a/p.safetensors", name)) for name in ("dds", "memory")}
 
     assert given == {"dds": Path("robot/p"), "memory": Path("simulated/p")}
+    assert folder_of(RunConfig("p.safetensors", "dds", dry_run=True)) == Path("dry_run/p")
     assert folder_of(RunConfig("p.safetensors", "memory", out="here")) == Path("here")
 
 
