@@ -2,13 +2,23 @@
 
 from __future__ import annotations
 
+import re
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
+import jax
+
 from emrld_jax.runs.files import write_json, write_text
 
 RESULTS = Path(__file__).parent / "results"
+
+
+def named(name: str) -> str:
+    """The name of a result, with the accelerator that it is of, if it is."""
+    device = jax.devices()[0]
+    kind = re.sub(r"[^a-z0-9]+", "-", device.device_kind.lower()).strip("-")
+    return name if device.platform == "cpu" else f"{name}-{kind}"
 
 
 def write_record(name: str, record: dict[str, Any], text: str) -> Path:

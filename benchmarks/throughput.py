@@ -17,7 +17,7 @@ import jax
 from benchmarks.basics import matrix_rate, rollouts
 from benchmarks.choice import Choice, chosen, origin
 from benchmarks.meta_step import Bench
-from benchmarks.records import write_record
+from benchmarks.records import named, write_record
 from benchmarks.startup import start_up
 from benchmarks.timing import Row, table
 from emrld_jax.fields import setting
@@ -127,7 +127,7 @@ def main() -> int:
         *bench.matrix_share(peak, f"1 of {every} steps"),
         *bench.matrix_share(peak, "every step", fisher_every=1),
         *bench.side_by_side(config.num_seeds, config.devices),
-        Row("peak memory of the process", "MiB", [_peak_memory()]),
+        *_peak_memory(),
         *start_up([f"env={ran.env.name}", f"algo={ran.algo}", f"demos={ran.demos}"]),
     ]
     record = {
@@ -137,12 +137,17 @@ def main() -> int:
     where = "trained" if config.run else config.reward
     seeds = f"-seeds{config.num_seeds}" * (config.num_seeds > 1)
     backend = f"-{config.backend}" if config.backend else ""
-    write_record(f"throughput-{ran.env.name}-{where}{backend}{seeds}", record, table(rows))
+    write_record(named(f"throughput-{ran.env.name}-{where}{backend}{seeds}"), record, table(rows))
     return 0
 
 
-def _peak_memory() -> float:
-    return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
+def _peak_memory() -> list[Row]:
+    """Of the process, and of an accelerator."""
+    of_process = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
+    rows = [Row("peak memory of the process", "MiB", [of_process])]
+    if counted := jax.devices()[0].memory_stats():  # a CPU counts none
+        rows.append(Row("peak memory of the device", "MiB", [counted["peak_bytes_in_use"] / 2**20]))
+    return rows
 
 
 if __name__ == "__main__":

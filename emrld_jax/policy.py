@@ -9,6 +9,7 @@ import jax
 import jax.numpy as jnp
 from flax import linen as nn
 
+from emrld_jax.precision import of_products
 from emrld_jax.types import Gaussian, Params
 
 ACTIVATIONS: dict[str, Callable[[jax.Array], jax.Array]] = {
@@ -44,7 +45,8 @@ class MLP(nn.Module):
                 weights = mirrored(weights, axis=1, sign=1.0)
             elif self.start_at_zero and i == last:
                 weights = mirrored(weights, axis=0, sign=-1.0)
-            x = nn.Dense(size, kernel_init=weights, name=f"layer_{i}")(x)
+            layer = nn.Dense(size, precision=of_products(), kernel_init=weights, name=f"layer_{i}")
+            x = layer(x)
             if i < last:
                 x = ACTIVATIONS[self.activation](x)
         return x

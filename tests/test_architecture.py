@@ -14,7 +14,13 @@ PACKAGES = ("envs_jax", "emrld_jax", "bridges", "benchmarks", "examples", "docs"
 # What each unit may import of this project, besides itself. A module belongs to the longest name
 # here that it starts with; a module right in emrld_jax that is not named here is a command. No two
 # units may import each other (a test below), so that "downward" has a meaning.
-BASIS = {"emrld_jax.types", "emrld_jax.policy", "emrld_jax.fields", "emrld_jax.settings"}
+BASIS = {
+    "emrld_jax.types",
+    "emrld_jax.precision",
+    "emrld_jax.policy",
+    "emrld_jax.fields",
+    "emrld_jax.settings",
+}
 PARTS = {*BASIS, "envs_jax", "emrld_jax.sampling", "emrld_jax.theory", "emrld_jax.meta"}
 BELOW_RUNS = {*PARTS, "emrld_jax.demos", "emrld_jax.algorithms"}
 BELOW_COMMANDS = {
@@ -27,9 +33,10 @@ BELOW_COMMANDS = {
 MAY_IMPORT: dict[str, set[str]] = {
     "envs_jax": set(),
     "emrld_jax.types": set(),
-    "emrld_jax.policy": {"emrld_jax.types"},
+    "emrld_jax.precision": set(),
+    "emrld_jax.policy": {"emrld_jax.types", "emrld_jax.precision"},
     "emrld_jax.fields": set(),
-    "emrld_jax.settings": {"emrld_jax.types", "emrld_jax.policy", "emrld_jax.fields"},
+    "emrld_jax.settings": BASIS - {"emrld_jax.settings"},
     "emrld_jax.sampling": {*BASIS, "envs_jax"},
     "emrld_jax.theory": set(),
     "emrld_jax.meta": {*BASIS, "emrld_jax.sampling", "emrld_jax.theory"},

@@ -15,6 +15,7 @@ import jax.numpy as jnp
 from emrld_jax.meta.learner import MetaLearner
 from emrld_jax.meta.outer import Metrics
 from emrld_jax.policy import Policy, log_prob, total_variation
+from emrld_jax.precision import dot
 from emrld_jax.sampling.advantages import (
     baseline_features,
     baseline_weights,
@@ -162,7 +163,7 @@ def _demonstrated_gains(
     obs = jnp.concatenate([played.obs, played.last_obs[None]]).at[n].set(played.last_obs)
     goes_on = (1.0 - jnp.sum(played.mask * played.done)) * (n < how.horizon)
     exists = jnp.append(played.mask, 0.0).at[n].set(goes_on)
-    value = (baseline_features(obs) @ weights) * exists
+    value = dot(baseline_features(obs), weights) * exists
     gains = (played.reward + how.discount * value[1:] - value[:-1]) * played.mask
     return gains, value[n] * how.discount**n
 

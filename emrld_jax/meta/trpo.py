@@ -13,6 +13,7 @@ import jax.numpy as jnp
 from jax.flatten_util import ravel_pytree
 
 from emrld_jax.meta.outer import Metrics, Objective, OuterOptimizer
+from emrld_jax.precision import dot
 from emrld_jax.types import Params
 
 
@@ -51,11 +52,11 @@ def conjugate_gradient(
 
     def iterate(state: Iterate) -> Iterate:
         image = product(state.direction)
-        curvature = state.direction @ image
+        curvature = dot(state.direction, image)
         positive = curvature > 0
         length = jnp.where(positive, state.squared / jnp.where(positive, curvature, 1.0), 0.0)
         residual = state.residual - length * image
-        squared = residual @ residual
+        squared = dot(residual, residual)
         return Iterate(
             jnp.where(positive, state.iteration + 1, iterations),
             state.x + length * state.direction,
@@ -65,9 +66,9 @@ def conjugate_gradient(
         )
 
     def unfinished(state: Iterate) -> jax.Array:
-        return (state.iteration < iterations) & (state.squared > 1e-10 * (b @ b))
+        return (state.iteration < iterations) & (state.squared > 1e-10 * dot(b, b))
 
-    start = Iterate(jnp.zeros((), jnp.int32), jnp.zeros_like(b), b, b, b @ b)
+    start = Iterate(jnp.zeros((), jnp.int32), jnp.zeros_like(b), b, b, dot(b, b))
     end = jax.lax.while_loop(unfinished, iterate, start)
     return end.x, end.residual
 
@@ -139,7 +140,7 @@ def trpo(
 
         product = fisher_product(curvature, flat, unravel, damping)
         direction, residual = conjugate_gradient(product, -gradient, cg_iterations)
-        squared = direction @ (-gradient - residual)  # direction' F direction, without a product
+        squared = dot(direction, -gradient - residual)  # direction' F direction, without a product
         step = jnp.sqrt(2 * max_kl / jnp.maximum(squared, 1e-12)) * direction
         line = line_search(evaluate, flat, step, loss, max_kl, backtrack_ratio, max_backtracks)
         metrics = {

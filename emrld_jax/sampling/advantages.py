@@ -6,6 +6,7 @@ import jax
 import jax.numpy as jnp
 from jax.scipy.linalg import solve_triangular
 
+from emrld_jax.precision import dot
 from emrld_jax.types import Trajectory
 
 RIDGE = 1e-5
@@ -48,7 +49,7 @@ def fit_baseline(features: jax.Array, targets: jax.Array, mask: jax.Array) -> ja
     ridge_rows = jnp.sqrt(RIDGE) * jnp.eye(size, dtype=features.dtype)
     q, r = jnp.linalg.qr(jnp.concatenate([features * mask[:, None], ridge_rows]))
     y = jnp.concatenate([targets * mask, jnp.zeros(size, targets.dtype)])
-    return solve_triangular(r, q.T @ y)
+    return solve_triangular(r, dot(q.T, y))
 
 
 def gae(reward: jax.Array, value: jax.Array, discount: float, gae_lambda: float) -> jax.Array:
@@ -85,7 +86,7 @@ def reward_advantages(
     The horizon ends an episode like any other end: nothing is expected after it, which the baseline
     knows from its time features.
     """
-    value = (jax.vmap(baseline_features)(trajectory.obs) @ weights) * trajectory.mask
+    value = dot(jax.vmap(baseline_features)(trajectory.obs), weights) * trajectory.mask
     reward = trajectory.reward * trajectory.mask
     return jax.vmap(lambda r, v: gae(r, v, discount, gae_lambda))(reward, value)
 

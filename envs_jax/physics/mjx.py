@@ -87,7 +87,9 @@ class Mjx:
         data = self._data.replace(
             qpos=body[:nq], qvel=body[nq : nq + nv], qacc_warmstart=body[nq + nv :], ctrl=control
         )
-        with jax.numpy_rank_promotion("allow"):  # MJX relies on it; callers may have forbidden it
+        # MJX relies on ranks being promoted, which callers may have forbidden; and an accelerator's
+        # own products, of 10 bits, are no physics
+        with jax.numpy_rank_promotion("allow"), jax.default_matmul_precision("float32"):
             data, _ = jax.lax.scan(
                 lambda data, _: (mjx.step(self._model, data), None), data, length=self._frame_skip
             )

@@ -180,6 +180,27 @@ def test_a_second_update_compiles_nothing(name: str, caplog: pytest.LogCaptureFi
 
 
 @ALL
+def test_all_products_are_asked_for_in_full_precision(name: str) -> None:
+    """Or in what JAX's own setting says."""
+    own = learner(name)
+
+    def asked(wanted: str) -> bool:
+        def iteration(state: MetaState) -> Any:
+            keys = jax.random.split(KEY, 3)
+            experience, _, _ = own.halves.gather(state.params, keys, FAR, DEMOS, None)
+            sizes = jax.tree.map(lambda _: 32, experience, is_leaf=lambda x: isinstance(x, Rollout))
+            return own.halves.improve(state, experience, DEMOS, None, sizes, None)
+
+        text = str(jax.make_jaxpr(iteration)(start(name)))
+        products = text.count("dot_general[")
+        return products > 10 and products == text.count(f"precision=({wanted}, {wanted})")
+
+    assert asked("Precision.HIGHEST")
+    with jax.default_matmul_precision("default"):
+        assert asked("Precision.DEFAULT")
+
+
+@ALL
 def test_leaving_out_what_comes_after_ends_changes_nothing(
     name: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
