@@ -11,6 +11,7 @@ import numpy as np
 
 from benchmarks.timing import Row, rate, seconds
 from emrld_jax.policy import Policy
+from emrld_jax.precision import of_products
 from emrld_jax.sampling.rollouts import episode
 from emrld_jax.types import Params, Task
 from envs_jax import Env, State
@@ -31,17 +32,17 @@ def matrix_rate(tasks: int, steps: int, wide: int, repetitions: int) -> Row:
 
 @jax.jit
 def _forward(steps: jax.Array, weights: jax.Array) -> jax.Array:
-    return jnp.einsum("msi,mij->msj", steps, weights)
+    return jnp.einsum("msi,mij->msj", steps, weights, precision=of_products())
 
 
 @jax.jit
 def _back(steps: jax.Array, weights: jax.Array) -> jax.Array:
-    return jnp.einsum("msj,mij->msi", steps, weights)
+    return jnp.einsum("msj,mij->msi", steps, weights, precision=of_products())
 
 
 @jax.jit
 def _of_weights(steps: jax.Array, weights: jax.Array) -> jax.Array:
-    return jnp.einsum("msi,msj->mij", steps, steps)
+    return jnp.einsum("msi,msj->mij", steps, steps, precision=of_products())
 
 
 _PRODUCTS = (_forward, _back, _of_weights)

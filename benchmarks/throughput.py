@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import resource
 import sys
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -19,7 +20,7 @@ from benchmarks.choice import Choice, chosen, origin
 from benchmarks.meta_step import Bench
 from benchmarks.records import named, write_record
 from benchmarks.startup import start_up
-from benchmarks.timing import Row, table
+from benchmarks.timing import Row, body, table
 from emrld_jax.fields import setting
 from emrld_jax.meta.learner import MetaState
 from emrld_jax.runs import cli
@@ -41,7 +42,9 @@ class ThroughputConfig(Choice):
         "sparse", "dense: adaptation has to weigh every step from the start", choices=REWARDS
     )
     run: str | None = setting(None, "run folder whose parameters are taken; null: the first ones")
-    num_seeds: int = setting(1, "seeds trained side by side in one program", at_least=1)
+    num_seeds: list[int] = setting(
+        [1], "seeds trained side by side in one program: each of these numbers", at_least=1
+    )
     devices: int = setting(1, "devices that share them; a CPU is split into as many", at_least=1)
     backend: str | None = setting(
         None,
@@ -109,36 +112,38 @@ def main() -> int:
     wide = max(bench.setup.config.policy.hidden_sizes)
     steps = bench.steps // bench.tasks
     peak = matrix_rate(bench.tasks, steps, wide, config.repetitions)
+    rows = []
+    for found in _measurements(bench, config, peak):
+        print(body(found), flush=True)  # the whole takes minutes
+        rows += found
+    record = {**origin("throughput"), "rows": [row._asdict() for row in rows]}
     ran = bench.setup.config
-    every = ran.meta.fisher_every
-    rows = [
-        peak,
-        *rollouts(
-            bench.setup.env,
-            bench.setup.learner.policy,
-            bench.state.params,
-            bench.part.tasks,
-            bench.adapt.num_episodes,
-            config.repetitions,
-        ),
-        *_other_rollouts(bench, config),
-        bench.adaptations(),
-        *bench.iterations(),
-        *bench.matrix_share(peak, f"1 of {every} steps"),
-        *bench.matrix_share(peak, "every step", fisher_every=1),
-        *bench.side_by_side(config.num_seeds, config.devices),
-        *_peak_memory(),
-        *start_up([f"env={ran.env.name}", f"algo={ran.algo}", f"demos={ran.demos}"]),
-    ]
-    record = {
-        **origin("throughput"),
-        "rows": [row._asdict() for row in rows],
-    }
     where = "trained" if config.run else config.reward
-    seeds = f"-seeds{config.num_seeds}" * (config.num_seeds > 1)
+    numbers = "-".join(map(str, config.num_seeds))
+    seeds = f"-seeds{numbers}" * (config.num_seeds != [1])
     backend = f"-{config.backend}" if config.backend else ""
     write_record(named(f"throughput-{ran.env.name}-{where}{backend}{seeds}"), record, table(rows))
     return 0
+
+
+def _measurements(bench: Bench, config: ThroughputConfig, peak: Row) -> Iterator[list[Row]]:
+    """All rows of the table, as they are measured."""
+    setup = bench.setup
+    ran, policy = setup.config, setup.learner.policy
+    yield [peak]
+    number = bench.adapt.num_episodes
+    yield rollouts(
+        setup.env, policy, bench.state.params, bench.part.tasks, number, config.repetitions
+    )
+    yield _other_rollouts(bench, config)
+    yield [bench.adaptations()]
+    yield bench.iterations()
+    yield bench.matrix_share(peak, f"1 of {ran.meta.fisher_every} steps")
+    yield bench.matrix_share(peak, "every step", fisher_every=1)
+    for num_seeds in config.num_seeds:
+        yield bench.side_by_side(num_seeds, config.devices)
+    yield _peak_memory()
+    yield start_up([f"env={ran.env.name}", f"algo={ran.algo}", f"demos={ran.demos}"])
 
 
 def _peak_memory() -> list[Row]:

@@ -40,7 +40,12 @@ def duration(what: str, times: np.ndarray) -> Row:
 
 def table(rows: list[Row]) -> str:
     """The rows as Markdown."""
-    lines = ["| what | median | range | |", "|---|---|---|---|"]
+    return "\n".join(["| what | median | range | |", "|---|---|---|---|", body(rows)])
+
+
+def body(rows: list[Row]) -> str:
+    """The rows without the table's head."""
+    lines = []
     for row in rows:
         span = f"{min(row.values):.4g} to {max(row.values):.4g}" if len(row.values) > 1 else ""
         lines.append(f"| {row.what} | {np.median(row.values):.4g} | {span} | {row.unit} |")
