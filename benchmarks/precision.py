@@ -71,7 +71,8 @@ def compare(setup: Setup, repetitions: int) -> list[Row]:
     halves, demos = setup.learner.halves, setup.demos.train
     state = initial(setup).state
     keys = jax.random.split(jax.random.key(0), demos.demos.mask.shape[0])
-    experience, needed, _ = halves.gather(state.params, keys, demos.tasks, demos.demos, None)
+    gather = jax.jit(halves.gather, static_argnums=4)
+    experience, needed, _ = gather(state.params, keys, demos.tasks, demos.demos, None)
     sizes = bucket_sizes(experience, needed)
     compute = jax.jit(partial(parts, halves, demos.demos, sizes))
     with jax.enable_x64(True):

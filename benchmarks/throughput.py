@@ -112,18 +112,24 @@ def main() -> int:
     wide = max(bench.setup.config.policy.hidden_sizes)
     steps = bench.steps // bench.tasks
     peak = matrix_rate(bench.tasks, steps, wide, config.repetitions)
-    rows = []
-    for found in _measurements(bench, config, peak):
-        print(body(found), flush=True)  # the whole takes minutes
-        rows += found
-    record = {**origin("throughput"), "rows": [row._asdict() for row in rows]}
+    rows: list[Row] = []
+    try:
+        for found in _measurements(bench, config, peak):
+            print(body(found), flush=True)  # the whole takes minutes
+            rows += found
+    finally:  # also what was measured before an interruption
+        _write(bench, config, rows)
+    return 0
+
+
+def _write(bench: Bench, config: ThroughputConfig, rows: list[Row]) -> None:
     ran = bench.setup.config
+    record = {**origin("throughput"), "rows": [row._asdict() for row in rows]}
     where = "trained" if config.run else config.reward
     numbers = "-".join(map(str, config.num_seeds))
     seeds = f"-seeds{numbers}" * (config.num_seeds != [1])
     backend = f"-{config.backend}" if config.backend else ""
     write_record(named(f"throughput-{ran.env.name}-{where}{backend}{seeds}"), record, table(rows))
-    return 0
 
 
 def _measurements(bench: Bench, config: ThroughputConfig, peak: Row) -> Iterator[list[Row]]:

@@ -92,7 +92,9 @@ print(json.dumps([memory, metrics]))
 @pytest.fixture(scope="session")
 def on_four(environment: dict[str, str], start: tuple[str, ...]) -> Any:
     """On 1, 2 and 4 devices: bytes of both programs; and metrics of two seeds by layout."""
-    flags = {"XLA_FLAGS": f"--xla_force_host_platform_device_count=4 {environment['XLA_FLAGS']}"}
+    flags = {
+        "XLA_FLAGS": f"--xla_force_host_platform_device_count=4 {environment.get('XLA_FLAGS', '')}"
+    }
     command = [sys.executable, "-c", ON_FOUR, *start]
     done = subprocess.run(
         command, env=environment | flags, capture_output=True, text=True, check=False, timeout=240
