@@ -115,7 +115,8 @@ def main() -> int:
     rows: list[Row] = []
     try:
         for found in _measurements(bench, config, peak):
-            print(body(found), flush=True)  # the whole takes minutes
+            if found:
+                print(body(found), flush=True)  # the whole takes minutes
             rows += found
     finally:  # also what was measured before an interruption
         _write(bench, config, rows)
