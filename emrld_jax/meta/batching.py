@@ -43,14 +43,6 @@ def one_at_a_time(function: Function) -> Function:
     return cast(Function, sequential)
 
 
-def worth_compiling(sizes: tuple[float, ...]) -> tuple[float, ...]:
-    """Those of a program's sizes, smallest first, that are compiled: on an accelerator the last.
-
-    There a program compiles for longer than a whole run of the largest size takes.
-    """
-    return sizes if _on_cpu() else sizes[-1:]
-
-
 def mean_over_devices(x: Any, axis: str | None) -> Any:
     """The mean of a pytree over the devices along a mesh's axis; without one, x itself."""
     return x if axis is None else jax.lax.pmean(x, axis)

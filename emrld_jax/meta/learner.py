@@ -12,7 +12,7 @@ import jax.numpy as jnp
 from jax.flatten_util import ravel_pytree
 
 from emrld_jax.meta.adaptation import Adapted, InnerSteps, adapt, readapt
-from emrld_jax.meta.batching import map_each, max_over_devices, mean_over_devices, worth_compiling
+from emrld_jax.meta.batching import map_each, max_over_devices, mean_over_devices
 from emrld_jax.meta.outer import Metrics, Objective, OuterLoss, OuterOptimizer
 from emrld_jax.policy import Policy
 from emrld_jax.sampling.rollouts import (
@@ -238,8 +238,7 @@ def bucket_sizes(experience: Experience, needed: Sizes) -> Sizes:
 
 def bucket(total: int, needed: int) -> int:
     """The smallest of the BUCKETS, as parts of `total` steps, that holds the needed ones."""
-    parts = worth_compiling(BUCKETS)
-    return next(size for part in parts if (size := int(part * total)) >= needed)
+    return next(size for part in BUCKETS if (size := int(part * total)) >= needed)
 
 
 def _is_rollout(x: Any) -> bool:

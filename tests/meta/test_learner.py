@@ -10,7 +10,6 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from emrld_jax.meta import batching
 from emrld_jax.meta import learner as learner_module
 from emrld_jax.meta.inner import InnerStep, enhanced_loss
 from emrld_jax.meta.learner import BUCKETS, MetaLearner, bucket, meta_learner
@@ -52,11 +51,6 @@ def test_the_bucket_is_the_smallest_that_holds_what_is_needed(
 @pytest.mark.parametrize("total", [1, 3, 7])
 def test_all_steps_fit_whatever_the_size(total: int) -> None:
     assert bucket(total, total) == total
-
-
-def test_an_accelerator_has_one_size(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(batching, "_on_cpu", lambda: False)
-    assert bucket(EPISODES * HORIZON, 1) == EPISODES * HORIZON
 
 
 def test_what_is_needed_is_that_of_the_longest_task() -> None:
