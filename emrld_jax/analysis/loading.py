@@ -83,7 +83,7 @@ class Run(NamedTuple):
 
 
 class Skipped(NamedTuple):
-    """A folder that is left out."""
+    """A folder that is left out: a run, or an evaluation of one that stays."""
 
     path: Path
     reason: str
@@ -116,9 +116,12 @@ def load_runs(folders: Sequence[str | Path]) -> Loaded:
                 continue
             seen.add(place)
             try:
-                runs.append(load_run(path))
+                run, damaged = load_run(path)
             except ConfigError as error:
                 skipped.append(Skipped(path, str(error)))
+                continue
+            runs.append(run)
+            skipped += damaged
     return Loaded(runs, skipped)
 
 
@@ -131,8 +134,8 @@ def _candidates(folder: Path) -> Iterator[Path]:
         inside[:] = sorted(name for name in inside if not name.startswith("."))
 
 
-def load_run(path: Path) -> Run:
-    """Reads a run folder.
+def load_run(path: Path) -> tuple[Run, list[Skipped]]:
+    """Reads a run folder; also names evaluations in it that are damaged, and left out.
 
     Raises:
         ConfigError: it is not that of a finished run, or a file is damaged; says which.
@@ -151,10 +154,10 @@ def load_run(path: Path) -> Run:
         raise ConfigError(
             f"half-written: metrics.jsonl tells of {done} of {iterations} meta-iterations"
         )
-    results = read_results(folder.results)
-    return Run(
-        path, settings, columns, results, read_evaluations(folder, iterations), read_origin(folder)
-    )
+    results, origin = read_results(folder.results), read_origin(folder)
+    evaluations, damaged = read_evaluations(folder, iterations)
+    run = Run(path, settings, columns, results, evaluations, origin)
+    return run, [Skipped(place, reason) for place, reason in damaged.items()]
 
 
 def commit(code: dict[str, Any]) -> str:

@@ -77,7 +77,8 @@ def read_results(path: Path) -> dict[str, Any]:
     for split in SPLITS:
         if results.get(split) is not None:
             _check_stages(path, results[split])
-            if not _is_number(results[split].get("demonstrations", {}).get("return")):
+            shown = results[split].get("demonstrations")
+            if not isinstance(shown, dict) or not _is_number(shown.get("return")):
                 raise ConfigError(f"{path.name} lacks the demonstrations' return")
     return results
 
@@ -99,18 +100,36 @@ def _is_number(value: Any) -> bool:
     return type(value) in (int, float) and math.isfinite(value)
 
 
-def read_evaluations(folder: RunFolder, iterations: int) -> dict[str, dict[str, Any]]:
-    """Evaluations of the finished policy; those of earlier checkpoints tell of another one."""
-    found = {}
+def read_evaluations(
+    folder: RunFolder, iterations: int
+) -> tuple[dict[str, dict[str, Any]], dict[Path, str]]:
+    """Evaluations of the finished policy; those of earlier checkpoints tell of another one.
+
+    Returns:
+        What is in them, by the names of their folders, and reasons why others cannot be used, by
+        their folders: a damaged evaluation takes nothing from the run itself.
+    """
+    found, damaged = {}, {}
     for path in sorted(folder.evaluations.glob("*/evaluation.json")):
         try:
-            entry = _json(path)
-            _check_stages(path, entry)
-        except ConfigError:  # a damaged one takes nothing from the run itself
+            entry = _evaluation(path)
+        except ConfigError as error:
+            damaged[path.parent] = str(error)
             continue
-        if entry.get("iteration") == iterations and isinstance(entry.get("configuration"), dict):
+        if entry["iteration"] == iterations:
             found[path.parent.name] = entry
-    return found
+    return found, damaged
+
+
+def _evaluation(path: Path) -> dict[str, Any]:
+    entry = _json(path)
+    _check_stages(path, entry)
+    if type(entry.get("iteration")) is not int:
+        raise ConfigError(f"{path.name} does not say after how many iterations, a whole number")
+    configuration = entry.get("configuration")
+    if not isinstance(configuration, dict) or configuration.get("tasks") not in SPLITS:
+        raise ConfigError(f"{path.name}: configuration.tasks is neither {' nor '.join(SPLITS)}")
+    return entry
 
 
 def _json(path: Path) -> dict[str, Any]:

@@ -129,9 +129,8 @@ def adaptations(group: Group) -> list[Adaptation]:
     names = dict.fromkeys(name for run in group.runs for name in run.evaluations)
     for name in names:
         entries = [run.evaluations[name] for run in group.runs if name in run.evaluations]
-        split = str(entries[0]["configuration"].get("tasks"))
-        if split in SPLITS:
-            found.append(_adaptation(split, name, [entry["stages"] for entry in entries]))
+        split = entries[0]["configuration"]["tasks"]
+        found.append(_adaptation(split, name, [entry["stages"] for entry in entries]))
     return found
 
 

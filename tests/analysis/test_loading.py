@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import json
-import shutil
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -59,6 +59,10 @@ def no_return(path: Path) -> None:
     write(path / "results.json", {"train": broken, "test": None})
 
 
+def bad_demonstrations(path: Path) -> None:
+    write(path / "results.json", {"train": {**table(1.0, 1.0), "demonstrations": 3}, "test": None})
+
+
 @pytest.mark.parametrize(
     ("harm", "reason"),
     [
@@ -69,6 +73,7 @@ def no_return(path: Path) -> None:
         (spoil("metrics.jsonl", "no JSON\n"), "line 1 is not JSON"),
         (spoil("results.json", '{"train"'), "results.json cannot be read"),
         (spoil("results.json", "{}"), "neither train nor test"),
+        (bad_demonstrations, "results.json lacks the demonstrations' return"),
         (no_return, "lacks a finite return"),
         (spoil("config.yaml", "a: [1"), "config.yaml cannot be read"),
         (spoil("config.yaml", "model: gpt\n"), "not a run folder of emrld_jax.train"),
@@ -201,14 +206,49 @@ def test_a_repeat_is_no_further_sample(make_run: MakeRun, tmp_path: Path) -> Non
     assert str(second) in reason
 
 
+def evaluation(path: Path, name: str, **given: Any) -> Path:
+    """Writes an evaluation of the finished policy into a run; what is given replaces its values."""
+    folder = path / "evaluations" / name
+    folder.mkdir(parents=True)
+    stages, configuration = table(5.0, 1.0)["stages"], {"tasks": "test"}
+    entry = {"stages": stages, "iteration": ITERATIONS, "configuration": configuration}
+    write(folder / "evaluation.json", {**entry, **given})
+    return folder
+
+
 def test_evaluations_of_the_finished_policy_are_read(make_run: MakeRun, tmp_path: Path) -> None:
     path = make_run("a")
-    stages = table(5.0, 1.0)["stages"]
-    for name, iteration in (("whole", ITERATIONS), ("early", ITERATIONS - 1)):
-        (path / "evaluations" / name).mkdir(parents=True)
-        entry = {"stages": stages, "iteration": iteration, "configuration": {"tasks": "test"}}
-        write(path / "evaluations" / name / "evaluation.json", entry)
-    shutil.copytree(path / "evaluations" / "whole", path / "evaluations" / "broken")
-    (path / "evaluations" / "broken" / "evaluation.json").write_text("{")
-    (run,) = load_runs([tmp_path]).runs
-    assert list(run.evaluations) == ["whole"]
+    evaluation(path, "whole")
+    evaluation(path, "early", iteration=ITERATIONS - 1)
+    found = load_runs([tmp_path])
+    assert [list(run.evaluations) for run in found.runs] == [["whole"]]
+    assert not found.skipped  # an early one is of another policy, and not damaged
+
+
+@pytest.mark.parametrize(
+    ("harm", "reason"),
+    [
+        (lambda p: (p / "evaluation.json").write_text("{"), "evaluation.json cannot be read"),
+        (lambda p: write(p / "evaluation.json", []), "evaluation.json is not a table"),
+        (lambda p: write(p / "evaluation.json", {"stages": [1]}), "lacks a finite return"),
+        ({"iteration": "4"}, "does not say after how many iterations"),
+        ({"configuration": ["test"]}, "configuration.tasks is neither train nor test"),
+        ({"configuration": {"tasks": "both"}}, "configuration.tasks is neither train nor test"),
+    ],
+)
+def test_a_damaged_evaluation_is_named_and_its_run_stays(
+    make_run: MakeRun,
+    tmp_path: Path,
+    harm: Callable[[Path], object] | dict[str, Any],
+    reason: str,
+) -> None:
+    path = make_run("a")
+    evaluation(path, "whole")
+    bad = evaluation(path, "bad", **(harm if isinstance(harm, dict) else {}))
+    if not isinstance(harm, dict):
+        harm(bad)
+    found = grouped(tmp_path)
+    assert [list(run.evaluations) for run in found.groups[0].runs] == [["whole"]]
+    ((where, said),) = found.skipped
+    assert where == bad
+    assert reason in said
