@@ -12,7 +12,7 @@ import yaml
 
 from emrld_jax.runs.config import ConfigError
 from emrld_jax.runs.folder import RunFolder
-from emrld_jax.runs.metrics import read_metrics
+from emrld_jax.runs.metrics import last_stage, read_metrics
 from emrld_jax.runs.provenance import read_provenance
 from emrld_jax.runs.saved import by_full_name
 
@@ -51,10 +51,15 @@ def read_columns(folder: RunFolder) -> dict[str, np.ndarray]:
     records = read_metrics(folder.metrics)
     if [record["iteration"] for record in records] != list(range(len(records))):
         raise ConfigError("metrics.jsonl does not tell of one iteration after the other")
-    names = set.intersection(*(set(record) for record in records)) if records else set()
-    columns = {name: _numbers(name, [record[name] for record in records]) for name in sorted(names)}
-    for name in ("adapt/return_0", "adapt/success_0", "sampling/env_steps", "time/iteration_s"):
-        if records and name not in columns:
+    if not records:
+        return {}
+    names = sorted(set.intersection(*map(set, records)))
+    columns = {name: _numbers(name, [record[name] for record in records]) for name in names}
+    needed = ["adapt/return_0", "adapt/success_0", "sampling/env_steps", "time/iteration_s"]
+    last = last_stage({"adapt/return_0": 0, **dict.fromkeys(set().union(*records))})
+    needed += [f"adapt/return_{last}", f"adapt/success_{last}"]
+    for name in needed:
+        if name not in columns:
             raise ConfigError(f"metrics.jsonl: {name} is missing in some lines")
     return columns
 

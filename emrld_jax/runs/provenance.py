@@ -41,7 +41,8 @@ def read_provenance(path: Path) -> dict[str, Any]:
     """The record of how a run began, with all that is compared later.
 
     Raises:
-        ConfigError: the file cannot be read or lacks something.
+        ConfigError: the file cannot be read, lacks something, or has a list or a text where a table
+            must be.
     """
     try:
         record = json.loads(path.read_text())
@@ -54,6 +55,10 @@ def read_provenance(path: Path) -> dict[str, Any]:
     shown = [record[name] for name in DEMOS if name in record] if whole else []
     if not whole or not all(isinstance(own, dict) and "sha256" in own for own in shown):
         raise ConfigError(f"{path} must have {', '.join(kinds)}, and demos a sha256")
+    if not isinstance(record.get("machine", {}), dict):  # shown, so it need not be there
+        raise ConfigError(
+            f"{path}: machine={record['machine']!r} is not a table of names and values"
+        )
     return record
 
 

@@ -53,6 +53,21 @@ def spoil(name: str, text: str) -> Callable[[Path], None]:
     return harm
 
 
+def recorded(**given: Any) -> Callable[[Path], None]:
+    """Puts other values into the record of how the run began."""
+
+    def harm(path: Path) -> None:
+        file = path / "provenance.json"
+        write(file, {**json.loads(file.read_text()), **given})
+
+    return harm
+
+
+def without_last_success(path: Path) -> None:
+    file = path / "metrics.jsonl"
+    file.write_text(file.read_text().replace('"adapt/success_1"', '"adapt/other"', 1))
+
+
 def no_return(path: Path) -> None:
     broken = table(1.0, 1.0)
     broken["stages"][1]["return"] = float("nan")
@@ -80,6 +95,11 @@ def bad_demonstrations(path: Path) -> None:
         (lambda p: (p / "config.yaml").unlink(), "it has no config.yaml"),
         (lambda p: (p / "provenance.json").unlink(), "provenance.json cannot be read"),
         (spoil("provenance.json", "{}"), "provenance.json must have"),
+        (recorded(machine="laptop"), "machine='laptop' is not a table of names and values"),
+        (recorded(machine=None), "machine=None is not a table"),
+        (recorded(packages=["jax"]), "must have code, packages, demos, resumed"),
+        (recorded(resumed=[3]), "lacks the code's commit"),
+        (without_last_success, "adapt/success_1 is missing in some lines"),
     ],
 )
 def test_what_is_not_whole_is_named_with_its_reason(
@@ -93,6 +113,15 @@ def test_what_is_not_whole_is_named_with_its_reason(
     ((path, said),) = found.skipped
     assert path == bad
     assert reason in said
+
+
+def test_a_record_without_a_machine_is_read(make_run: MakeRun, tmp_path: Path) -> None:
+    """It is only shown."""
+    file = make_run("a") / "provenance.json"
+    record = json.loads(file.read_text())
+    del record["machine"]
+    write(file, record)
+    assert len(load_runs([tmp_path]).runs) == 1
 
 
 def test_how_far_an_interrupted_run_came(make_run: MakeRun, tmp_path: Path) -> None:
