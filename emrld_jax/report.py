@@ -28,11 +28,12 @@ def main() -> int:
     if asks_for_help(arguments):
         print(
             usage(
-                "emrld_jax.report RUNS...",
+                "emrld_jax.report",
                 "Compare the finished runs in some folders, on one page for a browser.",
                 ("runs", "runs/point2d other/runs out=point2d.html"),
                 ReportConfig(),
                 {},
+                operands="RUNS...",
             )
         )
         return 0

@@ -51,9 +51,20 @@ def usage(
     examples: Sequence[str],
     defaults: Any,
     groups: Mapping[str, Sequence[str]],
+    operands: str = "",
 ) -> str:
-    """The help text: every setting with its type, default, meaning and allowed values."""
-    lines = [purpose, "", f"Usage: python -m {command} [setting=value ...]", "", "Examples:"]
+    """The help text: every setting with its type, default, meaning and allowed values.
+
+    Args:
+        command: the module's full name.
+        purpose: what the command does.
+        examples: what may follow the command.
+        defaults: the settings.
+        groups: names of files of defaults, by group.
+        operands: what stands before the settings, such as RUNS...
+    """
+    form = " ".join(filter(None, (command, operands, "[setting=value ...]")))
+    lines = [purpose, "", f"Usage: python -m {form}", "", "Examples:"]
     lines += [f"  python -m {command} {example}" for example in examples]
     if groups:
         lines += ["", "Groups (each a file of defaults in emrld_jax/conf):"]

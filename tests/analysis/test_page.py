@@ -130,6 +130,20 @@ def test_the_command(make_run: MakeRun, tmp_path: Path, command: Command) -> Non
     assert out.is_file()
 
 
+def test_help_shows_commands_that_can_be_typed(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr("sys.argv", ["report", "--help"])
+    assert main() == 0
+    lines = capsys.readouterr().out.splitlines()
+    assert "Usage: python -m emrld_jax.report RUNS... [setting=value ...]" in lines
+    examples = [line.strip() for line in lines if line.startswith("  python")]
+    assert examples == [
+        "python -m emrld_jax.report runs",
+        "python -m emrld_jax.report runs/point2d other/runs out=point2d.html",
+    ]
+
+
 @pytest.mark.parametrize(
     ("arguments", "said"),
     [
