@@ -51,7 +51,7 @@ def split(arguments: Sequence[str]) -> tuple[list[str], list[str]]:
 
 
 def write(folders: Sequence[str], config: ReportConfig) -> int:
-    """Reads the runs, writes the page, and tells what is left out of it."""
+    """Reads the runs, writes the page, and tells what is left out of it, and its notes."""
     # only now, since it imports much: wrong arguments are told at once
     from rich.console import Console  # noqa: PLC0415
 
@@ -68,9 +68,8 @@ def write(folders: Sequence[str], config: ReportConfig) -> int:
         tell(console, f"left out: {path}: {reason}")
     if not grouped.groups:
         raise ConfigError(f"no finished run in {', '.join(folders)}")
-    for note in grouped.notes:
+    for note in write_report(grouped, out, config.title or default_title(folders)):
         tell(console, f"note: {note}")
-    write_report(grouped, out, config.title or default_title(folders))
     runs, lines = sum(len(group.runs) for group in grouped.groups), len(grouped.groups)
     tell(console, f"{out}: {runs} run{'s' * (runs > 1)} in {lines} line{'s' * (lines > 1)}")
     return 0

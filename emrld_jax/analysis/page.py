@@ -39,16 +39,21 @@ LINKED = (  # files of a run that the page links to, if they are there
 )
 
 
-def write_report(grouped: Grouped, path: Path, title: str = "Runs compared") -> None:
+def write_report(grouped: Grouped, path: Path, title: str = "Runs compared") -> list[str]:
     """Writes the page, in a folder that is made if need be.
 
     Its links to the runs' files are relative to where it lies.
+
+    Returns:
+        The notes that stand on it: those on the groups, and on episodes that cannot be drawn.
 
     Raises:
         OSError: it cannot be written.
     """
     path.parent.mkdir(parents=True, exist_ok=True)
-    write_text(path, page(report_data(grouped, path, title)))
+    data = report_data(grouped, path, title)
+    write_text(path, page(data))
+    return data["notes"]
 
 
 def page(data: dict[str, Any]) -> str:

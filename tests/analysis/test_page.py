@@ -118,7 +118,9 @@ def test_damaged_episodes_are_told_and_the_run_stays(make_run: MakeRun, tmp_path
 
 
 def test_the_command(make_run: MakeRun, tmp_path: Path, command: Command) -> None:
-    make_run("runs/a")
+    good = make_run("runs/a", episodes=True)
+    final = good / "episodes" / "final.npz"
+    final.write_bytes(final.read_bytes()[:100])
     bad = make_run("runs/b=c", seed=1)
     (bad / "results.json").unlink()
     out = tmp_path / "page.html"
@@ -126,6 +128,8 @@ def test_the_command(make_run: MakeRun, tmp_path: Path, command: Command) -> Non
     assert done.returncode == 0, done.stderr
     said = " ".join(done.stdout.split())
     assert f"left out: {bad}: interrupted" in said
+    assert "note: 1 of 1 lines have fewer than 4 seeds" in said
+    assert f"note: {final} cannot be read" in said
     assert "1 run in 1 line" in said
     assert out.is_file()
 
