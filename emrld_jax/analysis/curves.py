@@ -9,7 +9,7 @@ import numpy as np
 from emrld_jax import algorithms
 from emrld_jax.analysis.groups import Group
 from emrld_jax.analysis.loading import Run
-from emrld_jax.analysis.statistics import Statistic, iqm, pointwise
+from emrld_jax.analysis.statistics import pointwise
 from emrld_jax.runs.metrics import last_stage
 
 AXES = ("iterations", "env_steps", "seconds")  # what a curve may be drawn against
@@ -47,7 +47,6 @@ def curve(
     measure: str = "return",
     when: str = "after",
     against: str = "iterations",
-    statistic: Statistic = iqm,
 ) -> Curve:
     """What the group's runs collected while they trained, on the training tasks.
 
@@ -59,7 +58,6 @@ def curve(
         measure: "return" or "success".
         when: "before" adaptation or "after" all its steps.
         against: one of AXES.
-        statistic: over seeds.
 
     Raises:
         ValueError: no such axis, or no episodes before adaptation (`algorithms.starts_plain`).
@@ -75,7 +73,7 @@ def curve(
             for own, run, stage in zip(places, group.runs, stages, strict=True)
         ]
     )
-    return Curve(x, *pointwise(each, statistic), group.seeds, each)
+    return Curve(x, *pointwise(each), group.seeds, each)
 
 
 def _common(places: list[np.ndarray]) -> np.ndarray:

@@ -7,7 +7,7 @@ each column. Intervals are percentiles of what the resamples give; a seed makes 
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -17,7 +17,6 @@ PIECE = 16  # points of a curve that are resampled at a time: all would need muc
 LEVEL = 0.95  # probability that an interval should hold the true value
 
 Column = np.ndarray | Sequence[float]  # [N], the scores of N runs
-Statistic = Callable[[np.ndarray], np.ndarray]  # of scores along the last axis
 
 
 class Estimate(NamedTuple):
@@ -35,62 +34,59 @@ def iqm(scores: np.ndarray | Sequence[float], axis: int = -1) -> np.ndarray:
     is their mean.
 
     Raises:
-        ValueError: there are none.
+        ValueError: there are none, or one is NaN (it would be sorted to the end and left out).
     """
     ordered = np.sort(np.moveaxis(np.asarray(scores, float), axis, -1), axis=-1)
     count = ordered.shape[-1]
     if not count:
         raise ValueError("no scores")
+    _refuse_nan(ordered)
     cut = count // 4
     return ordered[..., cut : count - cut].mean(axis=-1)
 
 
-def mean(scores: np.ndarray | Sequence[float], axis: int = -1) -> np.ndarray:
-    """The mean, to be taken where `iqm` could be."""
-    return np.asarray(scores, float).mean(axis=axis)
-
-
 def aggregate(
     columns: Sequence[Column],
-    statistic: Statistic = iqm,
     seed: int = 0,
     resamples: int = RESAMPLES,
     level: float = LEVEL,
 ) -> Estimate:
-    """A statistic of all scores together, with its stratified bootstrap interval.
+    """The interquartile mean of all scores together, with its stratified bootstrap interval.
 
     A column of more runs weighs more. If a column has one run, its spread is not known, and the
     interval is NaN.
 
     Raises:
-        ValueError: a column has no score.
+        ValueError: a column has no score, or one that is NaN.
     """
     arrays = _arrays(columns)
-    value = statistic(np.concatenate(arrays))
+    value = iqm(np.concatenate(arrays))
     if min(map(len, arrays)) < 2:
         return Estimate(value, np.full_like(value, np.nan), np.full_like(value, np.nan))
     generator = np.random.default_rng(seed)
     drawn = [column[_draws(generator, len(column), resamples)] for column in arrays]
-    return Estimate(value, *_bounds(statistic(np.concatenate(drawn, axis=1)), level))
+    return Estimate(value, *_bounds(iqm(np.concatenate(drawn, axis=1)), level))
 
 
 def pointwise(
     curves: np.ndarray,
-    statistic: Statistic = iqm,
     seed: int = 0,
     resamples: int = RESAMPLES,
     level: float = LEVEL,
 ) -> Estimate:
-    """A statistic over runs at each point of their curves, [N, X], with intervals, [X] each.
+    """The interquartile mean over runs at each point of their curves, [N, X], with intervals, [X].
 
     Whole curves are drawn. Of one run the intervals are NaN.
+
+    Raises:
+        ValueError: there is no curve, or one has a NaN.
     """
-    value = statistic(curves.T)
+    value = iqm(curves.T)
     if len(curves) < 2:
         return Estimate(value, np.full_like(value, np.nan), np.full_like(value, np.nan))
     index = _draws(np.random.default_rng(seed), len(curves), resamples)
     pieces = np.array_split(curves, -(-curves.shape[1] // PIECE), axis=1)
-    drawn = np.concatenate([statistic(piece.T[:, index]) for piece in pieces])  # [X, R]
+    drawn = np.concatenate([iqm(piece.T[:, index]) for piece in pieces])  # [X, R]
     return Estimate(value, *_bounds(drawn.T, level))
 
 
@@ -104,6 +100,9 @@ def performance_profile(
     """The share of runs whose score is above each threshold, averaged over columns, [X].
 
     Intervals as `aggregate`'s.
+
+    Raises:
+        ValueError: a column has no score, or one that is NaN.
     """
     arrays, above = _arrays(columns), np.asarray(thresholds, float)
     shares = [(column[:, None] > above).astype(float) for column in arrays]
@@ -128,7 +127,7 @@ def probability_of_improvement(
     divided by the number of pairs). Intervals as `aggregate`'s.
 
     Raises:
-        ValueError: the numbers of columns differ, or a column has no score.
+        ValueError: the numbers of columns differ, or a column has no score, or one that is NaN.
     """
     if len(first) != len(second):
         raise ValueError(f"{len(first)} columns of the first, {len(second)} of the second")
@@ -149,7 +148,14 @@ def _arrays(columns: Sequence[Column]) -> list[np.ndarray]:
     arrays = [np.asarray(column, float) for column in columns]
     if not arrays or not all(array.ndim == 1 and len(array) for array in arrays):
         raise ValueError("each column needs a score, and there must be a column")
+    for array in arrays:
+        _refuse_nan(array)  # which no threshold and no other score is below
     return arrays
+
+
+def _refuse_nan(scores: np.ndarray) -> None:
+    if count := int(np.isnan(scores).sum()):
+        raise ValueError(f"{count} of {scores.size} scores {'is' if count == 1 else 'are'} NaN")
 
 
 def _draws(generator: np.random.Generator, count: int, resamples: int) -> np.ndarray:

@@ -13,7 +13,6 @@ from emrld_jax.analysis.curves import axis, curve
 from emrld_jax.analysis.groups import Group, group_runs
 from emrld_jax.analysis.loading import load_runs
 from emrld_jax.analysis.scores import adaptations, headline, references, score
-from emrld_jax.analysis.statistics import mean
 from tests.analysis.conftest import MakeRun, table, write
 
 
@@ -54,7 +53,7 @@ def test_curves_against_iterations(make_run: MakeRun, tmp_path: Path) -> None:
     np.testing.assert_allclose(found.each, [[10, 20, 30, 40], [20, 40, 60, 80]])
     np.testing.assert_allclose((found.low, found.high), found.each)  # 1 of 4 resamples: 25 %
     assert found.seeds == (0, 1)
-    before = curve(groups(tmp_path)[0], "success", "before", "env_steps", mean)
+    before = curve(groups(tmp_path)[0], "success", "before", "env_steps")
     np.testing.assert_array_equal(before.x, [1000, 2000, 3000, 4000])
     np.testing.assert_array_equal(before.value, 0.0)
 
