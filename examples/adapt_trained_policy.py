@@ -14,7 +14,8 @@ import argparse
 import jax
 import jax.numpy as jnp
 
-from emrld_jax.runs.cli import train_config
+from emrld_jax.runs.cli import run_command, train_config
+from emrld_jax.runs.config import ConfigError
 from emrld_jax.runs.setup import set_up
 from emrld_jax.runs.trained import Trained, load_trained
 from emrld_jax.sampling.rollouts import collector, episode_returns
@@ -40,11 +41,11 @@ def straight_to(env: Env, task: GoalTask) -> Demos:
     return Demos(obs, jax.vmap(env.to_policy)(displacement), mask=jnp.ones(20))
 
 
-def main(run: str | None, iterations: int, direction: float) -> None:
+def main(run: str | None, iterations: int, direction: float) -> int:
     trained = load_trained(run) if run else train(iterations)
     env, learner, adapt = trained.setup.env, trained.setup.learner, trained.setup.config.adapt
     if env.name != "point2d":
-        raise SystemExit(f"{run} is a run of {env.name}; this example adapts one of point2d")
+        raise ConfigError(f"{run} is a run of {env.name}; this example adapts one of point2d")
 
     task = half_circle(jnp.array(direction), distance=2.0)
     demo = straight_to(env, task)
@@ -60,6 +61,7 @@ def main(run: str | None, iterations: int, direction: float) -> None:
     action = learner.policy.apply(adapted.params, jnp.zeros(2)).mean
     x, y = env.to_physical(action)
     print(f"first move of the adapted policy: {x:.3f} m, {y:.3f} m")
+    return 0
 
 
 if __name__ == "__main__":
@@ -68,4 +70,5 @@ if __name__ == "__main__":
     parser.add_argument("--iterations", type=int, default=60, help="without --run (default 60)")
     parser.add_argument("--direction", type=float, default=52.0, help="degrees (default 52)")
     arguments = parser.parse_args()
-    main(arguments.run, arguments.iterations, arguments.direction)
+    # what can be mended, such as a folder that is no run, is told in one line
+    run_command(lambda: main(arguments.run, arguments.iterations, arguments.direction))

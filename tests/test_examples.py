@@ -20,9 +20,9 @@ ROOT = Path(__file__).parents[1]
 
 @pytest.fixture
 def example(environment: dict[str, str], tmp_path: Path):
-    """Runs an example in an empty folder and returns the lines that it prints."""
+    """Runs an example in an empty folder and returns what it prints, or its error if refused."""
 
-    def run(name: str, *arguments: str) -> list[str]:
+    def run(name: str, *arguments: str, refused: bool = False) -> list[str]:
         command = [sys.executable, str(ROOT / "examples" / f"{name}.py"), *arguments]
         done = subprocess.run(
             command,
@@ -33,8 +33,8 @@ def example(environment: dict[str, str], tmp_path: Path):
             text=True,
             timeout=240,
         )
-        assert done.returncode == 0, done.stderr
-        return done.stdout.splitlines()
+        assert done.returncode == (2 if refused else 0), done.stderr
+        return (done.stderr if refused else done.stdout).splitlines()
 
     return run
 
@@ -72,6 +72,11 @@ def test_adapting_to_a_new_task(example) -> None:
     assert numbers(after)[0] > 3
     x, y = numbers(move)  # m; a goal in the direction of 90 degrees
     assert abs(x) < y <= 0.1
+
+
+def test_a_folder_that_is_no_run_is_told_in_one_line(example) -> None:
+    lines = example("adapt_trained_policy", "--run", "nothere", refused=True)
+    assert lines == ["error: nothere: there is no such run folder"]
 
 
 def test_the_rivers_rewards() -> None:

@@ -90,6 +90,7 @@ def _meta_gradient(
     """Of J_meta in the meta-parameters, through the adaptation, by central differences."""
 
     def value(shift: np.ndarray) -> float:
+        """J_meta where the meta-parameters are shifted."""
         return _mean_performance(problems, _adapted(problems, demonstrators, theta + shift))
 
     shifts = 1e-5 * np.eye(theta.size).reshape(-1, *theta.shape)
