@@ -143,17 +143,25 @@ def trpo(
         squared = dot(direction, -gradient - residual)  # direction' F direction, without a product
         step = jnp.sqrt(2 * max_kl / jnp.maximum(squared, 1e-12)) * direction
         line = line_search(evaluate, flat, step, loss, max_kl, backtrack_ratio, max_backtracks)
-        metrics = {
-            "outer/loss": loss,
-            "outer/improvement": jnp.where(line.accepted, loss - line.loss, 0.0),
-            "outer/kl": jnp.where(line.accepted, line.kl, 0.0),
-            "outer/accepted": line.accepted.astype(loss.dtype),
-            "outer/line_search_tries": line.tries.astype(loss.dtype),
-            "outer/gradient_norm": jnp.linalg.norm(gradient),
-        }
-        return unravel(jnp.where(line.accepted, line.params, flat)), opt_state, metrics
+        return (
+            unravel(jnp.where(line.accepted, line.params, flat)),
+            opt_state,
+            _metrics(line, loss, gradient),
+        )
 
     return OuterOptimizer(init=lambda params: (), update=update)
+
+
+def _metrics(line: Line, loss: jax.Array, gradient: jax.Array) -> Metrics:
+    """What a step tells of its start, [] and [P], and of the line search."""
+    return {
+        "outer/loss": loss,
+        "outer/improvement": jnp.where(line.accepted, loss - line.loss, 0.0),
+        "outer/kl": jnp.where(line.accepted, line.kl, 0.0),
+        "outer/accepted": line.accepted.astype(loss.dtype),
+        "outer/line_search_tries": line.tries.astype(loss.dtype),
+        "outer/gradient_norm": jnp.linalg.norm(gradient),
+    }
 
 
 def fisher_product(

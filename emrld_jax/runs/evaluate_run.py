@@ -10,7 +10,7 @@ from rich.console import Console
 from rich.table import Table
 
 from emrld_jax.demos import DemoSet
-from emrld_jax.runs.config import ConfigError, EvaluateConfig
+from emrld_jax.runs.config import ConfigError, EvaluateConfig, TrainConfig
 from emrld_jax.runs.evaluation import Evaluation, evaluator, summarize
 from emrld_jax.runs.files import write_json
 from emrld_jax.runs.film import film, prepare_films
@@ -22,6 +22,7 @@ from emrld_jax.runs.report import SPLITS, before_and_after, tell_of_breakdowns, 
 from emrld_jax.runs.saved import load_config, save_config
 from emrld_jax.runs.setup import Setup, set_up
 from emrld_jax.runs.trained import newest
+from emrld_jax.types import Params
 
 STREAM = 0x6576616C  # tells the keys of evaluations from those of training with the same seed
 
@@ -46,21 +47,8 @@ def evaluate_run(config: EvaluateConfig, console: Console) -> int:
     if config.video:
         prepare_films(setup.env)
     params, iteration = newest(setup, folder, lambda text: tell(console, text))
-    title = f"{trained.env.name}, {trained.algo}: {SPLITS[config.tasks]} tasks"
-    title += ", mean action" * config.deterministic
-    of_all = f"{iteration} of {trained.meta.iterations} meta-iterations"
-    tell(console, f"{title}: evaluating {folder.path} after {of_all}")
-    if config.adapt.num_steps > (steps := trained.adapt.num_steps):
-        tell(console, f"note: trained for adapt.num_steps={steps}; more steps may harm")
-    evaluate = evaluator(
-        setup.env,
-        setup.learner,
-        config.adapt,
-        config.episodes,
-        kept=num_drawn(setup.env, config.episodes),
-        deterministic=config.deterministic,
-    )
-    evaluation = evaluate(params, evaluation_key(config.seed), shown.tasks, shown.demos)
+    title = _announce(config, trained, folder, iteration, console)
+    evaluation = _measured(config, setup, params, shown)
     results = {
         **summarize(evaluation, config.seed),
         "iteration": iteration,
@@ -76,6 +64,36 @@ def evaluate_run(config: EvaluateConfig, console: Console) -> int:
     _draw(config, setup, shown, evaluation, title, target)
     tell(console, f"{target}: figures and pictures")
     return 0
+
+
+def _announce(
+    config: EvaluateConfig,
+    trained: TrainConfig,
+    folder: RunFolder,
+    iteration: int,
+    console: Console,
+) -> str:
+    """Tells what is about to be evaluated; its title in tables and pictures."""
+    title = f"{trained.env.name}, {trained.algo}: {SPLITS[config.tasks]} tasks"
+    title += ", mean action" * config.deterministic
+    of_all = f"{iteration} of {trained.meta.iterations} meta-iterations"
+    tell(console, f"{title}: evaluating {folder.path} after {of_all}")
+    if config.adapt.num_steps > (steps := trained.adapt.num_steps):
+        tell(console, f"note: trained for adapt.num_steps={steps}; more steps may harm")
+    return title
+
+
+def _measured(config: EvaluateConfig, setup: Setup, params: Params, demos: DemoSet) -> Evaluation:
+    """Episodes of the tasks after each adaptation step."""
+    evaluate = evaluator(
+        setup.env,
+        setup.learner,
+        config.adapt,
+        config.episodes,
+        kept=num_drawn(setup.env, config.episodes),
+        deterministic=config.deterministic,
+    )
+    return evaluate(params, evaluation_key(config.seed), demos.tasks, demos.demos)
 
 
 def _demonstrations(config: EvaluateConfig, setup: Setup) -> DemoSet:

@@ -19,7 +19,7 @@ from emrld_jax.sampling.rollouts import (
     episode_successes,
 )
 from emrld_jax.settings import AdaptSettings
-from emrld_jax.types import Demos, Params, Task
+from emrld_jax.types import Demos, Params, Task, Trajectory
 from envs_jax import Env
 
 RESAMPLES = 2000  # of the bootstrap
@@ -64,14 +64,7 @@ def evaluator(
     def stage(params: Params, key: jax.Array, task: Task) -> Evaluation:
         keys = jax.random.split(key, episodes)
         rollouts = jax.vmap(lambda k: episode(env, rolled, params, k, task))(keys)
-        return Evaluation(
-            episode_returns(rollouts),
-            episode_successes(rollouts),
-            episode_divergences(rollouts),
-            rollouts.obs[:kept],
-            rollouts.mask[:kept],
-            rollouts.reward[:kept],
-        )
+        return _seen(rollouts, kept)
 
     def of_task(params: Params, key: jax.Array, task: Task, demos: Demos) -> Evaluation:
         adapt_key, stage_key = jax.random.split(key)
@@ -87,6 +80,18 @@ def evaluator(
         return jax.vmap(of_task, in_axes=(None, 0, 0, 0))(params, keys, tasks, demos)
 
     return evaluate
+
+
+def _seen(rollouts: Trajectory, kept: int) -> Evaluation:
+    """What is kept of a task's episodes at one stage: figures of all, paths of the first few."""
+    return Evaluation(
+        episode_returns(rollouts),
+        episode_successes(rollouts),
+        episode_divergences(rollouts),
+        rollouts.obs[:kept],
+        rollouts.mask[:kept],
+        rollouts.reward[:kept],
+    )
 
 
 def bootstrap_interval(values: np.ndarray, seed: int, level: float = 0.95) -> tuple[float, float]:

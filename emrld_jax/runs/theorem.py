@@ -44,6 +44,27 @@ def diagnosis(
         )
     shared, part = setups[0], setups[0].demos.train
     shown = Shown(part.demos, replayed(shared.env, part.tasks, part.demos))
+    measured = _measuring(shared)
+
+    def diagnosed(
+        old: Params, new: Params, keys: np.ndarray, iteration: int
+    ) -> list[dict[str, float]]:
+        told = measured(dict(values), old, new, keys, iteration, part.tasks, shown)
+        columns = {name: column.tolist() for name, column in jax.device_get(told).items()}
+        return [
+            {name: column[k] for name, column in columns.items() if math.isfinite(column[k])}
+            for k in range(len(keys))
+        ]
+
+    return diagnosed
+
+
+def _measuring(shared: Setup) -> Callable[..., Metrics]:
+    """What measures runs side by side, [K] of each metric; compiled.
+
+    Called with values [K], parameters before and after [K], key data [K], the iteration, tasks and
+    what is shown of them.
+    """
 
     @jax.jit
     def measured(
@@ -68,14 +89,4 @@ def diagnosis(
         # at once, also on a CPU: a simulator that is called steps all runs in one call
         return jax.vmap(one)(values, old, new, keys)
 
-    def diagnosed(
-        old: Params, new: Params, keys: np.ndarray, iteration: int
-    ) -> list[dict[str, float]]:
-        columns = measured(dict(values), old, new, keys, iteration, part.tasks, shown)
-        columns = {name: column.tolist() for name, column in jax.device_get(columns).items()}
-        return [
-            {name: column[k] for name, column in columns.items() if math.isfinite(column[k])}
-            for k in range(len(keys))
-        ]
-
-    return diagnosed
+    return measured
