@@ -19,6 +19,7 @@ FIGURES = ("curves", "sensitivity", "ablation", "trajectories")
 COMPARED = ("emrld", "emrld_ws", "maml", "meta_bc", "gmps")  # in the paper
 WEIGHTS = (0.2, 0.4, 0.6, 0.8, 1.0)
 MAIN = "main"  # the part of the runs that have no settings of their own
+CHOSEN = {"envs": names(), "qualities": QUALITIES, "algos": algorithms.names()}
 FAST = (  # what makes a training short, and its results meaningless
     "meta.iterations=2",
     "adapt.num_episodes=2",
@@ -69,8 +70,13 @@ def studies(config: ReproduceConfig) -> list[Study]:
     """What the configuration asks for; a program that two figures show is in both.
 
     Raises:
-        ConfigError: there is nothing to do.
+        ConfigError: there is nothing to do, or a list of names is empty.
     """
+    for name, offered in CHOSEN.items():
+        if not getattr(config, name):
+            raise ConfigError(
+                f"{name}=[] is not allowed: it must name one or more of {', '.join(offered)}"
+            )
     made = [
         Study(figure, tuple(_MAKE[figure](config)))
         for figure in FIGURES

@@ -156,6 +156,15 @@ def test_a_figure_without_its_environment_is_refused() -> None:
         studies(config)
 
 
+@pytest.mark.parametrize("figure", ["all", "curves", "trajectories"])
+@pytest.mark.parametrize("name", ["envs", "qualities", "algos"])
+def test_empty_lists_are_refused_by_name(figure: str, name: str) -> None:
+    config = ReproduceConfig(figure=figure)
+    setattr(config, name, [])
+    with pytest.raises(ConfigError, match=rf"^{name}=\[\] is not allowed: it must name one"):
+        studies(config)
+
+
 def test_lists_of_names_are_checked_one_by_one() -> None:
     values = parse(["envs=[point2d,half_cheetah]"], ReproduceConfig(), {})
     assert values["envs"] == ["point2d", "half_cheetah"]
