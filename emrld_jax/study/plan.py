@@ -108,9 +108,14 @@ def _program(
 
 def _curves(config: ReproduceConfig) -> list[Program]:
     """Of an algorithm without demonstrations one line stands for both sets."""
-    pairs = [(demos, algo) for demos in config.qualities for algo in config.algos]
-    own = [p for p in pairs if algorithms.takes_demonstrations(p[1]) or p[0] == config.qualities[0]]
-    return [_program(config, MAIN, env, *pair) for env in config.envs for pair in own]
+    pairs = [(_demos(algo, own), algo) for own in config.qualities for algo in config.algos]
+    once = dict.fromkeys(pairs)
+    return [_program(config, MAIN, env, *pair) for env in config.envs for pair in once]
+
+
+def _demos(algo: str, quality: str) -> str:
+    """What an algorithm is given; one that takes none is the same run whichever are chosen."""
+    return quality if algorithms.takes_demonstrations(algo) else QUALITIES[0]
 
 
 def _sensitivity(config: ReproduceConfig) -> list[Program]:
@@ -147,8 +152,8 @@ def _trajectories(config: ReproduceConfig) -> list[Program]:
     """Supplement, Fig. 1, in simulation."""
     if "two_wheeled_drift" not in config.envs:
         return []
-    demos = config.qualities[0]
-    return [_program(config, MAIN, "two_wheeled_drift", demos, algo) for algo in config.algos]
+    own = partial(_program, config, MAIN, "two_wheeled_drift")
+    return [own(_demos(algo, config.qualities[0]), algo) for algo in config.algos]
 
 
 _MAKE: dict[str, Callable[[ReproduceConfig], list[Program]]] = {

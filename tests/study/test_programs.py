@@ -134,6 +134,17 @@ def test_the_curves_are_all_algorithms_on_all_environments() -> None:
     assert all(p.seeds == (0, 1, 2, 3, 4) for p in study.programs)
 
 
+@pytest.mark.parametrize("figure", ["curves", "trajectories"])
+def test_what_takes_no_demonstrations_is_in_one_place_whichever_are_chosen(figure: str) -> None:
+    chosen = (["optimal"], ["suboptimal"], ["suboptimal", "optimal"])
+    places = set()
+    for qualities in chosen:
+        config = ReproduceConfig(figure=figure, envs=["two_wheeled_drift"], qualities=qualities)
+        own = [p for p in programs(studies(config)) if p.algo == "maml"]
+        places |= {program.folder(0).path.parent.name for program in own}
+    assert places == {"maml-optimal"}
+
+
 def test_all_figures_share_what_they_share() -> None:
     """Of 36, 6, 6 and 5 programs the later ones have 2, 2 and all 5 from the first."""
     planned = studies(ReproduceConfig(figure="all"))
