@@ -50,8 +50,13 @@ def draw(planned: Sequence[Study], config: ReproduceConfig, console: Console) ->
         write_text(out / "improvements.md", tables.improvements_markdown(compared))
         if config.steps:
             name = "adaptation_steps"
-            write_text(out / f"{name}.csv", tables.adaptation_csv(compared, config.steps))
-            write_text(out / f"{name}.md", tables.adaptation_markdown(compared, config.steps))
+            write_text(
+                out / f"{name}.csv", tables.adaptation_csv(compared, config.steps, fast=config.fast)
+            )
+            write_text(
+                out / f"{name}.md",
+                tables.adaptation_markdown(compared, config.steps, fast=config.fast),
+            )
     write_json(out / "study.json", _origin(loaded.runs, planned, config))
     tell(console, f"{out}: figures, tables ({RESULTS}.md, .csv), {REPORTS[RESULTS]}")
 

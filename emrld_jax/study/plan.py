@@ -18,14 +18,9 @@ from envs_jax import names
 FIGURES = ("curves", "sensitivity", "ablation", "trajectories")
 COMPARED = ("emrld", "emrld_ws", "maml", "meta_bc", "gmps")  # in the paper
 WEIGHTS = (0.2, 0.4, 0.6, 0.8, 1.0)
+SEEDS, FAST_SEEDS = 5, 1  # unless they are given
 MAIN = "main"  # the part of the runs that have no settings of their own
 CHOSEN = {"envs": names(), "qualities": QUALITIES, "algos": algorithms.names()}
-FAST = (  # what makes a training short, and its results meaningless
-    "meta.iterations=2",
-    "adapt.num_episodes=2",
-    "policy.hidden_sizes=[8,8]",
-    "evaluation_episodes=2",
-)
 
 
 @dataclass
@@ -38,8 +33,15 @@ class ReproduceConfig:
         "without one of the two; trajectories: under a drift of -0.65",
         choices=(*FIGURES, "all"),
     )
-    seeds: int = setting(5, "seeds of each line, from 0 on", at_least=1, at_most=1000)
-    fast: bool = setting(False, "two meta-iterations each, to see whether all of it works")
+    seeds: int | None = setting(
+        None,
+        f"seeds of each line, from 0 on; null: {SEEDS}, with fast=true {FAST_SEEDS}",
+        at_least=1,
+        at_most=1000,
+    )
+    fast: bool = setting(
+        False, "two meta-iterations and few episodes each, to see whether all of it works"
+    )
     out: str = setting("reproduced", "folder of the runs, figures, tables and the report")
     envs: list[str] = setting([*names()], "environments of the curves", choices=names())
     qualities: list[str] = setting([*QUALITIES], "of the shipped demonstrations", choices=QUALITIES)
@@ -101,9 +103,19 @@ def _program(
     settings: tuple[str, ...] = (),
     grid: Grid = (),
 ) -> Program:
-    runs, seeds = Path(config.out) / "runs" / group, tuple(range(config.seeds))
-    own, steps = (*settings, *FAST * config.fast), config.steps if group == MAIN else 0
-    return Program(runs, env, demos, algo, seeds, own, grid, steps)
+    seeds = config.seeds or (FAST_SEEDS if config.fast else SEEDS)
+    steps = config.steps if group == MAIN else 0
+    return Program(
+        Path(config.out) / "runs" / group,
+        env,
+        demos,
+        algo,
+        tuple(range(seeds)),
+        settings,
+        grid,
+        steps,
+        config.fast,
+    )
 
 
 def _curves(config: ReproduceConfig) -> list[Program]:

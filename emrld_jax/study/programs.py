@@ -13,18 +13,25 @@ from typing import NamedTuple
 from emrld_jax.runs.folder import RunFolder
 
 BEFORE_CONFIG = (".lock", "provenance.json")  # files of a run that has no config.yaml yet
-EPISODES = 50  # a task, of an evaluation after several adaptation steps
+EPISODES, FAST_EPISODES = 50, 2  # a task, of an evaluation after several adaptation steps
+FAST = (  # what makes a training short, and its results meaningless
+    "meta.iterations=2",
+    "adapt.num_episodes=2",
+    "policy.hidden_sizes=[8,8]",
+    "evaluation_episodes=2",
+)
 
 Grid = tuple[tuple[str, tuple[float, ...]], ...]  # numbers by name, and the values of each
 Point = tuple[float, ...]  # of a grid: a value of each of its numbers
 
 
-def is_evaluation(name: str, steps: int) -> bool:
+def is_evaluation(name: str, steps: int, *, fast: bool = False) -> bool:
     """Whether a folder of this name holds a study's evaluation after up to so many steps.
 
     A number is behind the name if an evaluation was stopped before.
     """
-    return bool(re.fullmatch(rf"test-steps{steps}-episodes{EPISODES}-seed0(_\d+)?", name))
+    episodes = FAST_EPISODES if fast else EPISODES
+    return bool(re.fullmatch(rf"test-steps{steps}-episodes{episodes}-seed0(_\d+)?", name))
 
 
 class Program(NamedTuple):
@@ -38,13 +45,14 @@ class Program(NamedTuple):
     settings: tuple[str, ...] = ()  # more of the command line
     grid: Grid = ()  # of the numbers that they differ in
     steps: int = 0  # each run is evaluated after up to so many adaptation steps, too; 0: is not
+    fast: bool = False  # with the settings of FAST
 
     @property
     def name(self) -> str:
         """What tells it from others, in words."""
         varied = [f"each {number}" for number, _ in self.grid]
         own = f"{self.demos} demonstrations"
-        return ", ".join([self.env, self.algo, own, *self.settings, *varied])
+        return ", ".join([self.env, self.algo, own, *self.settings, *varied, *["fast"] * self.fast])
 
     @property
     def points(self) -> list[Point]:
@@ -94,6 +102,7 @@ class Program(NamedTuple):
         """Of `emrld_jax.train`, for some seeds in a row."""
         chosen = [f"env={self.env}", f"demos={self.demos}", f"algo={self.algo}"]
         chosen += [f"seed={seed}", f"runs={self.runs}", *self.settings]
+        chosen += FAST * self.fast
         if num_seeds > 1:
             chosen.append(f"num_seeds={num_seeds}")
         for number, values in self.grid:
@@ -108,14 +117,15 @@ class Program(NamedTuple):
             folder
             for folder in there
             if not any(
-                is_evaluation(path.parent.name, self.steps)
+                is_evaluation(path.parent.name, self.steps, fast=self.fast)
                 for path in folder.evaluations.glob("*/evaluation.json")
             )
         ]
 
     def _evaluation(self, folder: RunFolder) -> list[str]:
         chosen = [f"run={folder.path}", "tasks=test", f"adapt.num_steps={self.steps}"]
-        return [sys.executable, "-m", "emrld_jax.evaluate", *chosen, f"episodes={EPISODES}"]
+        chosen.append(f"episodes={FAST_EPISODES if self.fast else EPISODES}")
+        return [sys.executable, "-m", "emrld_jax.evaluate", *chosen]
 
     def _new(self) -> list[tuple[int, int]]:
         """Seeds of which no run has begun, as the first and the number of those in a row."""

@@ -63,7 +63,7 @@ def _figure(cell: Cell | None, form: str) -> str:
     return value if cell.seeds < 2 else f"{value} [{low}, {high}]"
 
 
-def adaptation_csv(groups: Sequence[Group], steps: int) -> str:
+def adaptation_csv(groups: Sequence[Group], steps: int, *, fast: bool = False) -> str:
     """A line for each group: return and success on held-out tasks after 0, 1, .. `steps` steps.
 
     Empty but for its head if no run was evaluated after so many.
@@ -73,28 +73,28 @@ def adaptation_csv(groups: Sequence[Group], steps: int) -> str:
     figures = [f"{measure}_{k}" for measure in MEASURES for k in range(steps + 1)]
     columns = [f"{figure}{end}" for figure in figures for end in ("", "_low", "_high")]
     writer.writerow(["environment", "demonstrations", "algorithm", "seeds", *columns])
-    for group, found in _adapted(groups, steps):
+    for group, found in _adapted(groups, steps, fast):
         cells = [cell for measure in MEASURES for cell in found.cells[measure]]
         numbers = [f"{float(x):.6g}" for cell in cells for x in cell.estimate]
         writer.writerow([*_names(group), cells[0].seeds, *numbers])
     return text.getvalue()
 
 
-def adaptation_markdown(groups: Sequence[Group], steps: int) -> str:
+def adaptation_markdown(groups: Sequence[Group], steps: int, *, fast: bool = False) -> str:
     """Return on held-out tasks after 0, 1, .. `steps` steps, with 95 % intervals over seeds."""
     after = [f"after {k} step{'s' * (k != 1)}" for k in range(steps + 1)]
     columns = ["environment", "demonstrations", "algorithm", "seeds", *after]
     lines = [f"| {' | '.join(columns)} |", "|---" * len(columns) + "|"]
-    for group, found in _adapted(groups, steps):
+    for group, found in _adapted(groups, steps, fast):
         cells = found.cells["return"]
         words = [*_names(group), str(cells[0].seeds), *(_figure(cell, ".1f") for cell in cells)]
         lines.append(f"| {' | '.join(words)} |")
     return "\n".join(lines) + "\n"
 
 
-def _adapted(groups: Sequence[Group], steps: int) -> list[tuple[Group, Adaptation]]:
+def _adapted(groups: Sequence[Group], steps: int, fast: bool) -> list[tuple[Group, Adaptation]]:
     """The groups that a study has evaluated after up to so many steps."""
-    own = partial(is_evaluation, steps=steps)
+    own = partial(is_evaluation, steps=steps, fast=fast)
     found = [(group, adaptation_of(group, "test", own)) for group in groups]
     return [(group, each) for group, each in found if each is not None]
 

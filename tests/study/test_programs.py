@@ -152,6 +152,26 @@ def test_all_figures_share_what_they_share() -> None:
     assert len(programs(planned)) == 36 + 4 + 4
 
 
+def test_a_fast_study_has_one_seed_unless_more_are_given() -> None:
+    for given, expected in ({"fast": True}, 1), ({"fast": True, "seeds": 3}, 3), ({}, 5):
+        planned = programs(studies(ReproduceConfig(figure="all", **given)))
+        assert {p.seeds for p in planned} == {tuple(range(expected))}
+
+
+def test_a_fast_program_is_named_in_short_and_evaluated_on_few_episodes(tmp_path: Path) -> None:
+    own = program(tmp_path, seeds=(0,), steps=3, fast=True)
+    assert own.name == "point2d, emrld, optimal demonstrations, fast"
+    train, evaluate = own.commands()
+    assert {"meta.iterations=2", "policy.hidden_sizes=[8,8]"} <= arguments(train)
+    assert evaluate[-1] == "episodes=2"
+    begin(own.folders[0].path, finished=True)
+    evaluated = own.folders[0].evaluations / "test-steps3-episodes2-seed0"
+    evaluated.mkdir(parents=True)
+    (evaluated / "evaluation.json").touch()
+    assert own.finished
+    assert not own._replace(fast=False).finished
+
+
 def test_the_sensitivity_has_five_values_of_each_weight(tmp_path: Path) -> None:
     (study,) = studies(ReproduceConfig(figure="sensitivity"))
     for algo in ("emrld", "emrld_ws"):
