@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import os
 import re
 import shutil
@@ -32,6 +33,15 @@ def is_evaluation(name: str, steps: int, *, fast: bool = False) -> bool:
     """
     episodes = FAST_EPISODES if fast else EPISODES
     return bool(re.fullmatch(rf"test-steps{steps}-episodes{episodes}-seed0(_\d+)?", name))
+
+
+def _is_whole(evaluation: Path) -> bool:
+    """Whether a file is that of an evaluation, not cut off."""
+    try:
+        entry = json.loads(evaluation.read_text())
+    except (OSError, ValueError):
+        return False
+    return isinstance(entry, dict) and bool(entry.get("stages"))
 
 
 class Program(NamedTuple):
@@ -111,13 +121,13 @@ class Program(NamedTuple):
 
     @property
     def _unevaluated(self) -> list[RunFolder]:
-        """Runs that have no evaluation after `steps` adaptation steps."""
+        """Runs that have no whole evaluation after `steps` adaptation steps."""
         there = [f for f in self.folders if self.steps and not f.diverged.is_file()]
         return [
             folder
             for folder in there
             if not any(
-                is_evaluation(path.parent.name, self.steps, fast=self.fast)
+                is_evaluation(path.parent.name, self.steps, fast=self.fast) and _is_whole(path)
                 for path in folder.evaluations.glob("*/evaluation.json")
             )
         ]

@@ -112,9 +112,15 @@ def test_each_run_is_evaluated_once_after_its_training(tmp_path: Path) -> None:
     assert not own.finished
     done = own.folders[0].evaluations / "test-steps3-episodes50-seed0"
     done.mkdir(parents=True)
-    (done / "evaluation.json").touch()
+    whole = '{"stages": [{"adaptation_steps": 0}]}'
+    (done / "evaluation.json").write_text(whole)
     ((*_, where, _, _, _),) = own.commands()
     assert where == f"run={own.folders[1].path}"
+    (done / "evaluation.json").write_text(whole[:20])
+    assert len(own.commands()) == 2  # what was cut off is made again, beside it
+    (again := done.with_name(f"{done.name}_2")).mkdir()
+    (again / "evaluation.json").write_text(whole)
+    assert len(own.commands()) == 1
 
 
 def test_values_are_trained_side_by_side(tmp_path: Path) -> None:
@@ -167,7 +173,7 @@ def test_a_fast_program_is_named_in_short_and_evaluated_on_few_episodes(tmp_path
     begin(own.folders[0].path, finished=True)
     evaluated = own.folders[0].evaluations / "test-steps3-episodes2-seed0"
     evaluated.mkdir(parents=True)
-    (evaluated / "evaluation.json").touch()
+    (evaluated / "evaluation.json").write_text('{"stages": [{"adaptation_steps": 0}]}')
     assert own.finished
     assert not own._replace(fast=False).finished
 
