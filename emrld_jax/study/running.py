@@ -6,6 +6,7 @@ import json
 import os
 import signal
 import subprocess
+import sys
 import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager, suppress
@@ -20,6 +21,13 @@ from emrld_jax.study.programs import Program
 POLL_S = 0.2
 LEDGER = "compute.jsonl"  # in the folder of the runs: what each process took
 ALONE = "--xla_cpu_multi_thread_eigen=false"  # faster for a program that has one core to itself
+# before a command, on Linux: it is asked to stop when the process that starts it is gone, also if
+# that was killed. (The child does it by itself: Popen's preexec_fn is not safe beside threads.)
+FOLLOWING = (
+    "import ctypes, os, signal, sys\n"
+    "ctypes.CDLL(None).prctl(1, signal.SIGTERM)\n"  # 1: PR_SET_PDEATHSIG, which exec keeps
+    "os.execv(sys.argv[1], sys.argv[1:])"
+)
 
 
 class Outcome(NamedTuple):
@@ -49,7 +57,7 @@ class _Job:
         command, self._began = self._left.pop(0), time.monotonic()
         with self.log.open("a") as out:
             self._process = subprocess.Popen(
-                command,
+                _following(command),
                 env=HUGE_PAGES | os.environ | self._flags(),
                 stdin=subprocess.DEVNULL,
                 stdout=out,
@@ -97,6 +105,12 @@ class _Job:
                 self._process.send_signal(signal.SIGTERM)
 
 
+def _following(command: Sequence[str]) -> list[str]:
+    """The command, so that it stops when this process is gone, where the system can do that."""
+    alone = [sys.executable, "-I", "-S", "-c", FOLLOWING] if sys.platform == "linux" else []
+    return [*alone, *command]
+
+
 def took(runs: Path, programs: Sequence[Program]) -> dict[str, float]:
     """Hours that processes took for programs, trainings and evaluations together.
 
@@ -139,7 +153,7 @@ def run_all(
 ) -> Outcome:
     """Carries out the programs that are not finished, as many at a time as there are cores.
 
-    However it ends, none of them goes on afterwards.
+    However it ends, none of them goes on afterwards; on Linux not even if this process is killed.
 
     Args:
         programs: what to carry out.

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import signal
+import subprocess
 import sys
 import threading
 import time
@@ -25,6 +26,7 @@ from emrld_jax.study.programs import Program
 from emrld_jax.study.running import run_all, took
 from emrld_jax.study.watching import Watch
 from tests.analysis.conftest import write_run
+from tests.conftest import ROOT
 
 
 def program(runs: Path, **changed: Any) -> Program:
@@ -268,6 +270,35 @@ def test_nothing_goes_on_after_an_error(tmp_path: Path) -> None:
         run_all([own], watch)
     time.sleep(3.5)
     assert not (folder / "late").exists()
+
+
+def wait_for(file: Path) -> None:
+    deadline = time.monotonic() + 60
+    while not file.is_file():
+        assert time.monotonic() < deadline
+        time.sleep(0.05)
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="only Linux tells children of it")
+def test_a_program_is_asked_to_stop_when_what_carries_it_out_is_killed(tmp_path: Path) -> None:
+    wait = (
+        "import signal, sys\n"
+        "def asked(number, frame): (at / 'asked').touch(); sys.exit()\n"
+        "signal.signal(signal.SIGTERM, asked)\n"
+        "(at / 'began').touch(); time.sleep(60)"
+    )
+    own = scripted(tmp_path, 0, wait)
+    folder = own.folders[0].path
+    text = (
+        "from tests.study.test_programs import Scripted, run_all\nfrom pathlib import Path\n"
+        f"own = Scripted(Path({str(tmp_path)!r}), 'point2d', 'optimal', 'emrld', (0,), "
+        f"{own.settings!r})\nrun_all([own], lambda going, seconds: None)"
+    )
+    carrying = subprocess.Popen([sys.executable, "-c", text], cwd=ROOT)
+    wait_for(folder / "began")
+    carrying.kill()
+    carrying.wait()
+    wait_for(folder / "asked")
 
 
 def test_a_launcher_gets_what_is_new_and_the_rest_is_told(
