@@ -13,12 +13,14 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 import jax
+from hydra import initialize_config_dir
+from hydra.core.global_hydra import GlobalHydra
 
 from emrld_jax.runs import cli
-from emrld_jax.runs.config import TrainConfig, check_config
+from emrld_jax.runs.config import ConfigError, TrainConfig, check_config
 from emrld_jax.runs.folder import RunFolder
 from emrld_jax.runs.help_texts import asks_for_help
-from emrld_jax.runs.usage import usage
+from emrld_jax.runs.usage import did_you_mean, usage
 from emrld_jax.study.plan import ReproduceConfig, Study, programs, studies
 from emrld_jax.study.programs import Program
 
@@ -53,10 +55,29 @@ def main() -> int:
     values = cli.parse(arguments, ReproduceConfig(), {})
     config = cli.updated(ReproduceConfig(), values)
     check_config(config)
+    if config.launcher is not None:
+        _check_launcher(config.launcher)
     planned = studies(config)
     for program in programs(planned):
         _configured(program)  # what is wrong with a training is told before any begins
     return _carry_out(config, planned)
+
+
+def _check_launcher(launcher: str) -> None:
+    """Refuses a launcher that Hydra does not know, or whose package is not installed."""
+    from emrld_jax.sweep import EXTRAS  # noqa: PLC0415  (few give a launcher)
+
+    with initialize_config_dir(str(cli.CONF), version_base="1.3"):
+        offered = GlobalHydra.instance().config_loader().get_group_options("hydra/launcher")
+    if launcher in offered:
+        return
+    if launcher in EXTRAS:
+        raise ConfigError(
+            f"launcher={launcher} is not installed: pip install 'emrld-jax[{EXTRAS[launcher]}]'"
+        )
+    known = sorted({*offered, *EXTRAS})
+    hint = did_you_mean(launcher, known)
+    raise ConfigError(f"launcher={launcher} is unknown{hint} (there are: {', '.join(known)})")
 
 
 @cache
@@ -86,7 +107,8 @@ def _carry_out(config: ReproduceConfig, planned: Sequence[Study]) -> int:
             tell(console, "stopped; the same command goes on where it was")
             return outcome.exit_code
         for program, log in outcome.failed:
-            tell(console, f"not finished: {program.name}; see {log}")
+            words = f"see {log}" if log.is_file() else f"it is not continued by {config.launcher}"
+            tell(console, f"not finished: {program.name}; {words}")
             for folder in program.diverged:
                 tell(console, f"  {folder.path} diverged")
         draw(planned, config, console)

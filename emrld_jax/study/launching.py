@@ -8,14 +8,23 @@ import sys
 import time
 from collections.abc import Callable, Sequence
 from contextlib import ExitStack
+from pathlib import Path
+from typing import NamedTuple
 
 from emrld_jax.runs.signals import StopSignals
 from emrld_jax.study.programs import Program
 from emrld_jax.study.running import POLL_S, Outcome, log_of, run_all
 
 
-def sweeps(programs: Sequence[Program], launcher: str) -> list[list[str]]:
-    """Arguments of `emrld_jax.sweep` that train these programs, none of which has begun."""
+class Sweep(NamedTuple):
+    """Programs that one command of `emrld_jax.sweep` trains."""
+
+    programs: list[Program]
+    arguments: list[str]
+
+
+def sweeps(programs: Sequence[Program], launcher: str) -> list[Sweep]:
+    """What trains these programs, none of which has begun."""
     columns: dict[Program, dict[str, list[str]]] = {}  # algorithms by environment
     for program in programs:
         same = program._replace(env="", algo="")
@@ -24,7 +33,9 @@ def sweeps(programs: Sequence[Program], launcher: str) -> list[list[str]]:
     for same, algos_of in columns.items():
         for algos in dict.fromkeys(map(tuple, algos_of.values())):
             envs = [env for env, own in algos_of.items() if tuple(own) == algos]
-            made.append([f"hydra/launcher={launcher}", *_arguments(same, envs, algos)])
+            arguments = [f"hydra/launcher={launcher}", *_arguments(same, envs, algos)]
+            own = [same._replace(env=env, algo=algo) for env in envs for algo in algos]
+            made.append(Sweep(own, arguments))
     return made
 
 
@@ -40,18 +51,18 @@ def launch_all(
 ) -> Outcome:
     """Hands over what has not begun, all at once, and waits; what has begun is not continued.
 
-    Then the runs are evaluated, here.
+    Then the runs are evaluated, here. What a sweep says is in a log of its own.
     """
     new = [p for p in programs if not any(folder.config.is_file() for folder in p.folders)]
     start = time.monotonic()
+    log_by_program: dict[Program, Path] = {}
     with StopSignals() as stop, ExitStack() as ending:
         children = []
-        for arguments in sweeps(new, launcher):
-            child = subprocess.Popen(
-                [sys.executable, "-m", "emrld_jax.sweep", *arguments], stdin=subprocess.DEVNULL
-            )
+        for number, sweep in enumerate(sweeps(new, launcher)):
+            log = sweep.programs[0].runs / "logs" / f"sweep{number}.log"
+            log_by_program |= dict.fromkeys(sweep.programs, log)
+            children.append(child := _begin(sweep, log))
             ending.callback(_end, child)
-            children.append(child)
         while stop.received is None and any(child.poll() is None for child in children):
             time.sleep(POLL_S)
             watch(new, time.monotonic() - start)
@@ -59,8 +70,19 @@ def launch_all(
         return Outcome([], stop.exit_code)
     trained = [p for p in programs if all(folder.finished for folder in p.folders)]
     evaluated = run_all(trained, watch)
-    left = [(p, log_of(p)) for p in programs if p not in trained]
+    left = [(p, log_by_program.get(p, log_of(p))) for p in programs if p not in trained]
     return Outcome([*evaluated.failed, *left], evaluated.exit_code)
+
+
+def _begin(sweep: Sweep, log: Path) -> subprocess.Popen:
+    log.parent.mkdir(parents=True, exist_ok=True)
+    with log.open("a") as out:
+        return subprocess.Popen(
+            [sys.executable, "-m", "emrld_jax.sweep", *sweep.arguments],
+            stdin=subprocess.DEVNULL,
+            stdout=out,
+            stderr=out,
+        )
 
 
 def _end(child: subprocess.Popen) -> None:

@@ -215,7 +215,8 @@ def test_sweeps_are_grids_of_environments_and_algorithms(tmp_path: Path) -> None
     pairs = [(e, a) for e in ("point2d", "two_wheeled") for a in ("emrld", "gmps")]
     same = [program(tmp_path, env=env, algo=algo) for env, algo in pairs]
     varied = program(tmp_path, grid=(("w_rl", (0.4, 1.0)),))
-    grid, weights = sweeps([*same, varied], "submitit_slurm")
+    (of_grid, grid), (of_weights, weights) = sweeps([*same, varied], "submitit_slurm")
+    assert (of_grid, of_weights) == (same, [varied])
     assert {"env=point2d,two_wheeled", "algo=emrld,gmps", "num_seeds=3"} <= set(grid)
     assert grid[0] == weights[0] == "hydra/launcher=submitit_slurm"
     assert {"env=point2d", "algo=emrld", "w_rl=0.4,1"} <= set(weights)
@@ -305,16 +306,18 @@ def test_a_launcher_gets_what_is_new_and_the_rest_is_told(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     new, begun = program(tmp_path), program(tmp_path, algo="gmps")
+    lost = program(tmp_path, algo="maml")
     begin(begun.folders[0].path)
     handed: list[Program] = []
 
     class Sweep:
-        """A sweep that finishes all runs of what it is handed."""
+        """A sweep that finishes all runs of what it is handed, but for one."""
 
-        def __init__(self, command: list[str], **_: Any) -> None:
+        def __init__(self, command: list[str], stdout: Any, **_: Any) -> None:
             assert command[2] == "emrld_jax.sweep"
             for folder in new.folders:
                 begin(folder.path, finished=True)
+            stdout.write("one job failed")
 
         def poll(self) -> int:
             return 0
@@ -322,15 +325,18 @@ def test_a_launcher_gets_what_is_new_and_the_rest_is_told(
         def wait(self) -> int:
             return 0
 
-    def spied(programs: Any, launcher: str) -> list[list[str]]:
+    def spied(programs: Any, launcher: str) -> Any:
         handed.extend(programs)
         return sweeps(programs, launcher)
 
     monkeypatch.setattr("emrld_jax.study.launching.subprocess.Popen", Sweep)
     monkeypatch.setattr(launching, "sweeps", spied)
-    outcome = launching.launch_all([new, begun], "joblib", lambda going, seconds: None)
-    assert handed == [new]
-    assert [own for own, _ in outcome.failed] == [begun]
+    outcome = launching.launch_all([new, begun, lost], "joblib", lambda going, seconds: None)
+    assert handed == [new, lost]
+    failed = dict(outcome.failed)
+    assert set(failed) == {begun, lost}
+    assert failed[lost].read_text() == "one job failed"
+    assert not failed[begun].exists()  # it was not touched
 
 
 def test_programs_are_carried_out_and_failures_are_told_with_their_log(tmp_path: Path) -> None:

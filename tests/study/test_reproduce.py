@@ -16,10 +16,11 @@ import numpy as np
 import pytest
 from matplotlib.figure import Figure
 
-from emrld_jax import settings
+from emrld_jax import reproduce, settings, sweep
 from emrld_jax.analysis.groups import Group, group_runs
 from emrld_jax.analysis.loading import load_runs
 from emrld_jax.runs import cli
+from emrld_jax.runs.config import ConfigError
 from emrld_jax.runs.saved import save_config
 from emrld_jax.runs.setup import set_up
 from emrld_jax.runs.variants import variants
@@ -266,10 +267,21 @@ def test_all_figures_from_one_command_that_is_stopped_once(
     assert 0 < study["cpu_hours"] < 2 * study["process_hours"]
 
 
+def test_a_launcher_that_is_not_installed_is_refused_with_its_extra(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setitem(sweep.EXTRAS, "elsewhere", "far")
+    with pytest.raises(ConfigError, match=r"not installed: pip install 'emrld-jax\[far\]'"):
+        reproduce._check_launcher("elsewhere")
+    reproduce._check_launcher("basic")
+
+
 def test_what_is_wrong_is_told_before_any_training(command: Command, tmp_path: Path) -> None:
     for wrong, words in {
         "envs=[point3d]": "did you mean 'point2d'",
         "figure=trajectories": "needs none of envs=['point2d']",
+        "launcher=nonsense": "launcher=nonsense is unknown (there are: basic, joblib, ray, ",
+        "launcher=submitit_slum": "did you mean 'submitit_slurm'",
     }.items():
         given = (wrong,) if wrong.startswith("envs") else (wrong, "envs=[point2d]")
         done = command("reproduce", *given, f"out={tmp_path / 'made'}")
