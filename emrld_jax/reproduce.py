@@ -21,7 +21,7 @@ from emrld_jax.runs.config import ConfigError, TrainConfig, check_config
 from emrld_jax.runs.folder import RunFolder
 from emrld_jax.runs.help_texts import asks_for_help
 from emrld_jax.runs.usage import did_you_mean, usage
-from emrld_jax.study.plan import ReproduceConfig, Study, programs, studies
+from emrld_jax.study.plan import ReproduceConfig, Study, programs, studies, whole
 from emrld_jax.study.programs import Program
 
 if TYPE_CHECKING:
@@ -90,19 +90,21 @@ def _carry_out(config: ReproduceConfig, planned: Sequence[Study]) -> int:
     from rich.console import Console  # noqa: PLC0415
 
     from emrld_jax.runs.progress import tell  # noqa: PLC0415
-    from emrld_jax.study.checking import check_runs  # noqa: PLC0415
+    from emrld_jax.study.checking import check_runs, other_runs  # noqa: PLC0415
     from emrld_jax.study.drawing import draw  # noqa: PLC0415
+    from emrld_jax.study.running import Outcome  # noqa: PLC0415
 
     console, needed = Console(), programs(planned)
     out = Path(config.out)
+    if config.draw and not (out / "runs").is_dir():
+        raise ConfigError(
+            f"draw=true with out={out}: there are no runs; it must be the folder of a study"
+        )
     out.mkdir(parents=True, exist_ok=True)
     with RunFolder(out).locked():
         for note in check_runs(needed, _configured):
             tell(console, f"note: {note}")
-        if config.draw:
-            draw(planned, config, console)
-            return 0
-        outcome = _train(config, needed, console)
+        outcome = Outcome([], 0) if config.draw else _train(config, needed, console)
         if outcome.exit_code:
             tell(console, "stopped; the same command goes on where it was")
             return outcome.exit_code
@@ -111,8 +113,12 @@ def _carry_out(config: ReproduceConfig, planned: Sequence[Study]) -> int:
             tell(console, f"not finished: {program.name}; {words}")
             for folder in program.diverged:
                 tell(console, f"  {folder.path} diverged")
-        draw(planned, config, console)
-    return 1 if outcome.failed else 0
+        shown = whole(config)
+        left_out = other_runs(programs(shown), needed, _configured)
+        for path, reason in left_out.items():
+            tell(console, f"not shown: {path}: {reason}")
+        good = draw(shown, left_out, config, console)
+    return 0 if good and not outcome.failed else 1
 
 
 def _train(config: ReproduceConfig, needed: Sequence[Program], console: Console) -> Outcome:

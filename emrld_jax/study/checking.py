@@ -6,14 +6,17 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 
 from emrld_jax.analysis import groups
+from emrld_jax.demos import DemoError
 from emrld_jax.runs.config import ConfigError, TrainConfig
+from emrld_jax.runs.folder import RunFolder
 from emrld_jax.runs.provenance import code_version, read_provenance, sha256
 from emrld_jax.runs.saved import load_config
-from emrld_jax.runs.setup import set_up
+from emrld_jax.runs.setup import Setup, set_up
 from emrld_jax.runs.usage import leaves
 from emrld_jax.runs.variants import variants
 from emrld_jax.settings import value
 from emrld_jax.study.programs import Program
+from envs_jax.physics.models import MissingPackageError
 
 FREE = (*groups.FREE, "evaluation_episodes")
 
@@ -41,13 +44,51 @@ def check_runs(
     return notes
 
 
+def other_runs(
+    programs: Sequence[Program],
+    needed: Sequence[Program],
+    configured: Callable[[Program], TrainConfig],
+) -> dict[Path, str]:
+    """Runs that are there, which a study does not need and cannot be shown beside, and why.
+
+    Args:
+        programs: all that figures and tables may show.
+        needed: of the study; `check_runs` tells of theirs.
+        configured: a program's configuration, as its command line says.
+    """
+    own = {folder.path for program in needed for folder in program.folders}
+    found: dict[Path, str] = {}
+    for program in programs:
+        begun = {folder.path for folder in program.folders if folder.config.is_file()} - own
+        if not begun:
+            continue
+        try:
+            pairs = _expected(program, set_up(configured(program)))
+        except (ConfigError, DemoError, MissingPackageError) as error:
+            found |= dict.fromkeys(begun, f"it cannot be checked here: {error}")
+            continue
+        for folder, config in pairs:
+            if folder.path in begun:
+                try:
+                    _check_settings(folder.path, load_config(folder.config), config)
+                except ConfigError as error:
+                    found[folder.path] = str(error)
+    return found
+
+
+def _expected(program: Program, setup: Setup) -> list[tuple[RunFolder, TrainConfig]]:
+    """A program's run folders, and what should be the configuration in each."""
+    configs = [variant.config for variant in variants(setup.config)]
+    points = [tuple(value(own, number) for number, _ in program.grid) for own in configs]
+    folders = [program.folder(own.seed, p) for own, p in zip(configs, points, strict=True)]
+    return list(zip(folders, configs, strict=True))
+
+
 def _check(program: Program, config: TrainConfig) -> list[str]:
     """Refuses a program's runs, or tells of them."""
     setup, notes = set_up(config), []
     now = code_version(), sha256(setup.demos_path)
-    for own in (variant.config for variant in variants(setup.config)):
-        point = tuple(value(own, number) for number, _ in program.grid)
-        folder = program.folder(own.seed, point)
+    for folder, own in _expected(program, setup):
         if not folder.config.is_file():
             continue
         try:

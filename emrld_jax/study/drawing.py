@@ -2,67 +2,85 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
+from datetime import UTC, datetime
 from pathlib import Path
 
 from rich.console import Console
 
 from emrld_jax.analysis.groups import Group, Grouped, group_runs
-from emrld_jax.analysis.loading import Loaded, Run, load_runs
+from emrld_jax.analysis.loading import Loaded, Skipped, load_runs
 from emrld_jax.analysis.page import write_report
 from emrld_jax.runs.files import write_json, write_text
+from emrld_jax.runs.folder import RunFolder
 from emrld_jax.runs.progress import tell
-from emrld_jax.runs.provenance import machine, typed_command
 from emrld_jax.study import figures, tables
+from emrld_jax.study.origin import origin
 from emrld_jax.study.plan import MAIN, ReproduceConfig, Study, programs
-from emrld_jax.study.programs import Program
-from emrld_jax.study.running import took
+from emrld_jax.study.programs import Program, is_evaluation
 
 RESULTS, WEIGHTS = "results", "weights"  # names of the comparisons of algorithms, of weights
 REPORTS = {RESULTS: "report.html", WEIGHTS: "weights.html"}
+SEEDS = {RESULTS: "seeds.csv", WEIGHTS: "weights_seeds.csv"}
 
 
-def draw(planned: Sequence[Study], config: ReproduceConfig, console: Console) -> None:
-    """Draws what is finished of the planned runs, and no others; tells what is missing.
+def draw(
+    shown: Sequence[Study], left_out: Collection[Path], config: ReproduceConfig, console: Console
+) -> bool:
+    """Draws what is finished: the configuration's figures, and the tables of all; tells the rest.
+
+    Args:
+        shown: everything that figures and tables may show, whatever command has trained it.
+        left_out: runs that are not to be shown.
+        config: which figures to draw, and where.
+        console: where it is told.
+
+    Returns:
+        Whether there was something to draw, and nothing of it is damaged.
 
     Raises:
         OSError: a file cannot be written.
     """
-    out = Path(config.out)
-    loaded = _begun(programs(planned))
-    for path, reason in loaded.skipped:
-        tell(console, f"left out: {path}: {reason}")
+    out, every = Path(config.out), programs(shown)
+    loaded = _begun(every, left_out)
+    damaged = [skipped for skipped in loaded.skipped if RunFolder(skipped.path).finished]
+    for skipped in loaded.skipped:
+        remedy = _remedy(skipped) if skipped in damaged else ""
+        tell(console, f"left out: {skipped.path}: {skipped.reason}{remedy}")
     if not loaded.runs:
-        tell(console, "nothing is finished yet: no figure is drawn")
-        return
-    for study in planned:
-        if groups := _grouped(loaded, study.programs).groups:
-            for note in _draw(study.figure, groups, out / study.figure):
+        tell(console, f"{out}: nothing is finished yet: no figure is drawn")
+        return False
+    for study in shown:
+        if config.figure in (study.figure, "all"):
+            for note in _draw(study.figure, _grouped(loaded, study.programs).groups, out):
                 tell(console, note)
-    for name, own in _reports(planned).items():
-        if (grouped := _grouped(loaded, own)).groups:
-            for note in grouped.notes:
-                tell(console, f"note: {note}")
-            write_text(out / f"{name}.csv", tables.results_csv(grouped.groups))
-            write_text(out / f"{name}.md", tables.results_markdown(grouped.groups))
-            write_report(grouped, out / REPORTS[name], f"Reproduction: {name}")
-    if compared := _grouped(loaded, _reports(planned)[RESULTS]).groups:
+    for name, own in _reports(shown, loaded).items():
+        _write_report(name, _grouped(loaded, own), out, console)
+    compared = _grouped(loaded, [p for p in every if p.runs.name == MAIN]).groups
+    if compared:
+        figures.draw_profiles(compared, out / "profiles")
         write_text(out / "improvements.md", tables.improvements_markdown(compared))
-        if config.steps:
-            name = "adaptation_steps"
-            write_text(
-                out / f"{name}.csv", tables.adaptation_csv(compared, config.steps, fast=config.fast)
-            )
-            write_text(
-                out / f"{name}.md",
-                tables.adaptation_markdown(compared, config.steps, fast=config.fast),
-            )
-    write_json(out / "study.json", _origin(loaded.runs, planned, config))
+        _write_adaptation(compared, config, console)
+    time = datetime.now(UTC).isoformat(timespec="seconds")
+    file = out / "study.json"
+    write_json(file, origin(file, loaded.runs, every, config.figure, time))
     tell(console, f"{out}: figures, tables ({RESULTS}.md, .csv), {REPORTS[RESULTS]}")
+    return not damaged
 
 
-def _draw(figure: str, groups: Sequence[Group], path: Path) -> list[str]:
-    """One figure of the paper; what to know of it."""
+def _remedy(damaged: Skipped) -> str:
+    """What to do about a run that is finished and cannot be read."""
+    file = RunFolder(damaged.path).results
+    if damaged.reason.startswith(file.name):
+        return f". Remove {file}, and the same command evaluates the run again"
+    return f". Move {damaged.path} away, and the same command trains it again"
+
+
+def _draw(figure: str, groups: Sequence[Group], out: Path) -> list[str]:
+    """One figure of the paper, if there is something to show; what to know of it."""
+    path = out / figure
+    if not groups:
+        return []
     if figure == "curves":
         for against in figures.AXES:
             figures.draw_curves(groups, against, path.with_name(f"{path.name}_{against}"))
@@ -75,20 +93,50 @@ def _draw(figure: str, groups: Sequence[Group], path: Path) -> list[str]:
     return []
 
 
-def _reports(planned: Sequence[Study]) -> dict[str, list[Program]]:
+def _reports(shown: Sequence[Study], loaded: Loaded) -> dict[str, list[Program]]:
     """The programs of each report: the comparison of algorithms, and that of weights.
 
-    Apart, since settings that differ become a part of a line's name.
+    Apart, since settings that differ become a part of a line's name. The weights' has lines of the
+    comparison, too, so there is none without a line of its own.
     """
-    main = [p for p in programs(planned) if p.runs.name == MAIN]
-    weights = [s for s in planned if s.figure in ("sensitivity", "ablation")]
-    return {RESULTS: main, WEIGHTS: programs(weights)}
+    main = [p for p in programs(shown) if p.runs.name == MAIN]
+    weights = programs([s for s in shown if s.figure in ("sensitivity", "ablation")])
+    own = [p for p in weights if p.runs.name != MAIN]
+    return {RESULTS: main, **({WEIGHTS: weights} if _grouped(loaded, own).groups else {})}
 
 
-def _begun(own: Sequence[Program]) -> Loaded:
+def _write_report(name: str, grouped: Grouped, out: Path, console: Console) -> None:
+    """The tables and the page of one comparison, if it has a line."""
+    if not grouped.groups:
+        return
+    for note in grouped.notes:
+        tell(console, f"note: {note}")
+    write_text(out / f"{name}.csv", tables.results_csv(grouped.groups))
+    write_text(out / f"{name}.md", tables.results_markdown(grouped.groups))
+    write_text(out / SEEDS[name], tables.seeds_csv(grouped.groups))
+    write_report(grouped, out / REPORTS[name], f"Reproduction: {name}")
+
+
+def _write_adaptation(groups: Sequence[Group], config: ReproduceConfig, console: Console) -> None:
+    """Tables after each number of steps, if a run was evaluated so; how many were not."""
+    steps, fast, name = config.steps, config.fast, "adaptation_steps"
+    runs = [run for group in groups for run in group.runs]
+    found = [any(is_evaluation(own, steps, fast=fast) for own in run.evaluations) for run in runs]
+    if not steps or not any(found):
+        return
+    if not all(found):
+        words = f"{found.count(False)} of {len(runs)} runs have no whole evaluation"
+        tell(console, f"note: {name}: {words} after {steps} steps, and are left out")
+    write_text(Path(config.out) / f"{name}.csv", tables.adaptation_csv(groups, steps, fast=fast))
+    text = tables.adaptation_markdown(groups, steps, fast=fast)
+    write_text(Path(config.out) / f"{name}.md", text)
+
+
+def _begun(own: Sequence[Program], left_out: Collection[Path]) -> Loaded:
     """The programs' own runs, of those that have begun."""
     folders = [folder for program in own for folder in program.folders]
-    paths = [folder.path for folder in folders if folder.config.is_file()]
+    begun = [folder.path for folder in folders if folder.config.is_file()]
+    paths = [path for path in begun if path not in left_out]
     return load_runs(paths) if paths else Loaded([], [])
 
 
@@ -96,18 +144,3 @@ def _grouped(loaded: Loaded, own: Sequence[Program]) -> Grouped:
     """Those of the runs that belong to some programs."""
     paths = {folder.path for program in own for folder in program.folders}
     return group_runs(Loaded([run for run in loaded.runs if run.path in paths], []))
-
-
-def _origin(
-    runs: Sequence[Run], planned: Sequence[Study], config: ReproduceConfig
-) -> dict[str, object]:
-    """Where the figures come from, and what they took."""
-    return {
-        "command": typed_command(),
-        "machine": machine(),
-        "commits": sorted({commit for run in runs for commit in run.commits}),
-        "seeds": config.seeds,
-        "runs": len(runs),
-        "env_steps": sum(float(run.metrics["sampling/env_steps"][-1]) for run in runs),
-        **took(Path(config.out) / "runs", programs(planned)),
-    }

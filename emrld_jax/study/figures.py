@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
+from itertools import product
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -13,7 +14,8 @@ from matplotlib.patches import Circle
 
 from emrld_jax.analysis.curves import curve
 from emrld_jax.analysis.groups import Group, on_each_problem
-from emrld_jax.analysis.scores import demonstrated
+from emrld_jax.analysis.scores import LAST, demonstrated
+from emrld_jax.analysis.statistics import mean, pointwise
 from emrld_jax.runs.config import ConfigError
 from emrld_jax.runs.episodes import FINAL, read_episodes
 from emrld_jax.runs.panels import BEFORE, save
@@ -30,6 +32,7 @@ COLORS = {  # of others, "black"
 }
 SHADES = ("#440154", "#3b528b", "#21918c", "#5ec962", "#c9b418")  # of values that rise
 AXES = {"iterations": "meta-iterations", "env_steps": "environment steps", "seconds": "seconds"}
+THRESHOLDS = 121  # of a profile
 DRIFT = -1  # the held-out task of the robot experiment is the last one: -0.65 rad a step
 
 
@@ -43,18 +46,68 @@ class Line(NamedTuple):
 
 def draw_curves(groups: Sequence[Group], against: str, path: Path) -> None:
     """Return after adaptation: a row an environment, a column a set of demonstrations."""
+    figure, panels = _problems(groups)
+    for axes, title, lines in panels:
+        _demonstrated(axes, [line.group for line in lines])
+        _panel(axes, lines, title, against)
+    save(figure, path)
+
+
+def draw_profiles(groups: Sequence[Group], path: Path) -> None:
+    """Shares of seeds and held-out tasks that return more than each value; panels as the curves'.
+
+    A run's line is the share of its tasks, as after adaptation. Their mean is the performance
+    profile over tasks (`analysis.statistics`), with intervals for which whole runs are drawn, since
+    tasks of a run share one policy.
+    """
+    figure, panels = _problems(groups)
+    for axes, title, lines in panels:
+        returns = [np.array(found) for line in lines if (found := _per_task(line.group))]
+        if not returns:
+            axes.set_title(f"{title}: no held-out tasks", fontsize=10)
+            continue
+        low, high = min(each.min() for each in returns), max(each.max() for each in returns)
+        margin = 0.02 * (high - low) or 1.0  # below the lowest, so that lines begin with all
+        above = np.linspace(low - margin, high + margin, THRESHOLDS)
+        for line in lines:
+            if found := _per_task(line.group):
+                _profile(axes, line, np.array(found), above)
+        axes.set_title(title, fontsize=10)
+        axes.set(xlabel="return after adaptation", ylabel="share above", ylim=(-0.02, 1.02))
+        axes.grid(alpha=0.25)
+        _legend(axes)
+    figure.suptitle("Share of seeds and held-out tasks that return more, after adaptation")
+    save(figure, path)
+
+
+def _profile(axes: Axes, line: Line, returns: np.ndarray, above: np.ndarray) -> None:
+    """One line with its interval; returns are [runs, tasks]."""
+    each = (returns[:, :, None] > above).mean(axis=1)
+    found = pointwise(each, mean)
+    axes.fill_between(above, found.low, found.high, color=line.color, alpha=0.15, linewidth=0)
+    label = f"{line.label} ({len(returns)})"
+    axes.plot(above, found.value, color=line.color, linewidth=1.8, label=label)
+
+
+def _per_task(group: Group) -> list[list[float]]:
+    """Returns on held-out tasks after adaptation, of those of a group's runs that have some."""
+    tables = [stages[LAST] for run in group.runs if (stages := run.stages("test"))]
+    return [table["return_per_task"] for table in tables if "return_per_task" in table]
+
+
+def _problems(groups: Sequence[Group]) -> tuple[Figure, list[tuple[Axes, str, list[Line]]]]:
+    """A row an environment, a column a set of demonstrations: title and lines of each panel."""
     groups = on_each_problem(groups)
     envs = _in_order(group.environment for group in groups)
     demos = _in_order(group.demonstrations for group in groups)
     figure = Figure(figsize=(5.2 * len(demos), 3.2 * len(envs)), layout="constrained")
     grid = figure.subplots(len(envs), len(demos), squeeze=False)
-    for row, env in zip(grid, envs, strict=True):
-        for axes, quality in zip(row, demos, strict=True):
-            own = [g for g in groups if g.problem == (env, quality)]
-            lines = [Line(g, g.label, COLORS.get(g.algorithm, "black")) for g in by_algorithm(own)]
-            _demonstrated(axes, own)
-            _panel(axes, lines, f"{env}, {quality} demonstrations", against)
-    save(figure, path)
+    panels = []
+    for axes, (env, quality) in zip(grid.flat, product(envs, demos), strict=True):
+        own = by_algorithm([g for g in groups if g.problem == (env, quality)])
+        lines = [Line(g, g.label, COLORS.get(g.algorithm, "black")) for g in own]
+        panels.append((axes, f"{env}, {quality} demonstrations", lines))
+    return figure, panels
 
 
 def draw_lines(panels: Sequence[tuple[str, Sequence[Line]]], path: Path) -> None:
@@ -121,14 +174,18 @@ def _panel(axes: Axes, lines: Sequence[Line], title: str, against: str) -> None:
     axes.set(xlabel=AXES[against], ylabel="return after adaptation")
     axes.grid(alpha=0.25)
     if lines:
-        axes.legend(
-            title="line (seeds)",
-            fontsize=7,
-            title_fontsize=7,
-            frameon=False,
-            loc="upper left",
-            bbox_to_anchor=(1.0, 1.0),  # beside the axes
-        )
+        _legend(axes)
+
+
+def _legend(axes: Axes) -> None:
+    axes.legend(
+        title="line (seeds)",
+        fontsize=7,
+        title_fontsize=7,
+        frameon=False,
+        loc="upper left",
+        bbox_to_anchor=(1.0, 1.0),  # beside the axes
+    )
 
 
 def _demonstrated(axes: Axes, groups: Sequence[Group]) -> None:

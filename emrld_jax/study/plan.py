@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
 from typing import NamedTuple
@@ -12,7 +12,7 @@ from emrld_jax import algorithms
 from emrld_jax.demos.shipped import QUALITIES
 from emrld_jax.fields import setting
 from emrld_jax.runs.config import ConfigError
-from emrld_jax.study.programs import Grid, Program
+from emrld_jax.study.programs import MOST_SEEDS, Grid, Program
 from envs_jax import names
 
 FIGURES = ("curves", "sensitivity", "ablation", "trajectories")
@@ -37,7 +37,7 @@ class ReproduceConfig:
         None,
         f"seeds of each line, from 0 on; null: {SEEDS}, with fast=true {FAST_SEEDS}",
         at_least=1,
-        at_most=1000,
+        at_most=MOST_SEEDS,
     )
     fast: bool = setting(
         False, "two meta-iterations and few episodes each, to see whether all of it works"
@@ -87,6 +87,21 @@ def studies(config: ReproduceConfig) -> list[Study]:
     if not any(study.programs for study in made):
         raise ConfigError(f"figure={config.figure} needs none of envs={config.envs}")
     return made
+
+
+def whole(config: ReproduceConfig) -> list[Study]:
+    """All that the figures can show of runs in the folder, whatever commands have trained them.
+
+    Every environment, algorithm and set of demonstrations, with all seeds that are there.
+    """
+    qualities = [*dict.fromkeys((*config.qualities, *QUALITIES))]  # in the order that is given
+    every = replace(
+        config, figure="all", envs=[*names()], algos=[*algorithms.names()], qualities=qualities
+    )
+    return [
+        study._replace(programs=tuple(own.with_seeds_there() for own in study.programs))
+        for study in studies(every)
+    ]
 
 
 def programs(planned: Sequence[Study]) -> list[Program]:

@@ -14,6 +14,7 @@ from typing import NamedTuple
 from emrld_jax.runs.folder import RunFolder
 
 BEFORE_CONFIG = (".lock", "provenance.json")  # files of a run that has no config.yaml yet
+MOST_SEEDS = 1000  # of a program
 EPISODES, FAST_EPISODES = 50, 2  # a task, of an evaluation after several adaptation steps
 FAST = (  # what makes a training short, and its results meaningless
     "meta.iterations=2",
@@ -80,6 +81,13 @@ class Program(NamedTuple):
     def folders(self) -> list[RunFolder]:
         """Of all its runs."""
         return [self.folder(seed, point) for seed in self.seeds for point in self.points]
+
+    def with_seeds_there(self) -> Program:
+        """With its seeds and those up to the last one that has a folder, too."""
+        parents = {self.folder(0, point).path.parent for point in self.points}
+        found = (re.fullmatch(r"seed(\d+)", p.name) for place in parents for p in place.glob("*"))
+        there = [seed for each in found if each and (seed := int(each[1])) < MOST_SEEDS]
+        return self._replace(seeds=tuple(range(max((*self.seeds, *there)) + 1)))
 
     @property
     def finished(self) -> bool:

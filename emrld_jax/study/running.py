@@ -114,24 +114,29 @@ def _following(command: Sequence[str]) -> list[str]:
     return [*alone, *command]
 
 
-def took(runs: Path, programs: Sequence[Program]) -> dict[str, float]:
+def took(runs: Path, programs: Sequence[Program]) -> tuple[dict[str, float], int]:
     """Hours that processes took for programs, trainings and evaluations together.
 
-    Also of those that were stopped or failed; each was on a core of its own, or on all.
+    Also of those that were stopped or failed; each was on a core of its own, or on all. What a
+    launcher or a command of another kind has trained is not known.
 
     Args:
         runs: the folder of the programs' folders, with the ledger.
         programs: whose time is wanted; others of the folder are not counted.
+
+    Returns:
+        The hours, and of how many of the programs they are.
     """
     names = {program.name for program in programs}
     ledger = runs / LEDGER
     lines = ledger.read_text().splitlines() if ledger.is_file() else []
     entries = [entry for line in lines if (entry := _entry(line)) is not None]
     entries = [entry for entry in entries if entry.get("program") in names]
-    return {
+    hours = {
         "process_hours": sum(entry["wall_s"] for entry in entries) / 3600,
         "cpu_hours": sum(entry["cpu_s"] for entry in entries) / 3600,
     }
+    return hours, len({entry["program"] for entry in entries})
 
 
 def _entry(line: str) -> dict | None:

@@ -6,11 +6,21 @@ import csv
 import io
 from collections.abc import Sequence
 from functools import partial
+from itertools import product
 
 from emrld_jax.analysis.comparisons import compare
 from emrld_jax.analysis.groups import Group
 from emrld_jax.analysis.loading import NONE, SPLITS
-from emrld_jax.analysis.scores import MEASURES, Adaptation, Cell, Row, adaptation_of, headline
+from emrld_jax.analysis.scores import (
+    LAST,
+    MEASURES,
+    Adaptation,
+    Cell,
+    Row,
+    adaptation_of,
+    headline,
+    score,
+)
 from emrld_jax.runs.report import SPLITS as SPLIT_WORDS
 from emrld_jax.study.programs import is_evaluation
 
@@ -32,6 +42,27 @@ def results_csv(groups: Sequence[Group]) -> str:
             costs = (f"{shown:.6g}", f"{row.seconds:.1f}", f"{row.env_steps:.0f}")
             what = (cell.seeds, WORDS[split], measure, when)
             writer.writerow([*_names(group), *what, *estimate, *costs])
+    return text.getvalue()
+
+
+def seeds_csv(groups: Sequence[Group]) -> str:
+    """A line for each run: return and success on both sets of tasks, before and after adaptation.
+
+    Nothing stands where a run has no such tasks.
+    """
+    text = io.StringIO()
+    writer = csv.writer(text, lineterminator="\n")
+    figures = list(product(SPLITS, MEASURES, zip(WHEN, (0, LAST), strict=True)))
+    names = [
+        f"{SPLIT_WORDS[split].replace('-', '_')}_{measure}_{when}"
+        for split, measure, (when, _) in figures
+    ]
+    writer.writerow(["environment", "demonstrations", "algorithm", "seed", *names])
+    for group in groups:
+        for run in group.runs:
+            values = [score(run, split, measure, stage) for split, measure, (_, stage) in figures]
+            numbers = ["" if value is None else f"{value:.6g}" for value in values]
+            writer.writerow([*_names(group), run.seed, *numbers])
     return text.getvalue()
 
 

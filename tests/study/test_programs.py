@@ -248,15 +248,18 @@ def test_what_processes_took_is_added_up(tmp_path: Path) -> None:
     failing = scripted(runs, 1, "raise SystemExit(1)")
     both = [own, failing]
     run_all(both, lambda going, seconds: None)
-    hours = took(tmp_path / "runs", both)
+    hours, counted = took(tmp_path / "runs", both)
+    assert counted == 2
     assert 1.0 < 3600 * hours["process_hours"] < 20
     assert 0.5 <= 3600 * hours["cpu_hours"] < 3600 * hours["process_hours"]
-    assert took(tmp_path / "runs", [failing])["cpu_hours"] < hours["cpu_hours"] - 0.4 / 3600
+    (alone, counted) = took(tmp_path / "runs", [failing, failing._replace(algo="gmps")])
+    assert counted == 1
+    assert alone["cpu_hours"] < hours["cpu_hours"] - 0.4 / 3600
     for folder, own_programs in ((tmp_path, both), (tmp_path / "runs", [])):
-        assert took(folder, own_programs) == {"process_hours": 0, "cpu_hours": 0}
+        assert took(folder, own_programs) == ({"process_hours": 0, "cpu_hours": 0}, 0)
     with (tmp_path / "runs" / "compute.jsonl").open("a") as ledger:
         ledger.write('{"program": "cut off by a ki')
-    assert took(tmp_path / "runs", both) == hours
+    assert took(tmp_path / "runs", both) == (hours, 2)
 
 
 def test_nothing_goes_on_after_an_error(tmp_path: Path) -> None:

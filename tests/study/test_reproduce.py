@@ -19,6 +19,7 @@ from matplotlib.figure import Figure
 from emrld_jax import reproduce, settings, sweep
 from emrld_jax.analysis.groups import Group, group_runs
 from emrld_jax.analysis.loading import load_runs
+from emrld_jax.analysis.statistics import performance_profile
 from emrld_jax.runs import cli
 from emrld_jax.runs.config import ConfigError
 from emrld_jax.runs.saved import save_config
@@ -27,7 +28,7 @@ from emrld_jax.runs.variants import variants
 from emrld_jax.study import figures, tables
 from emrld_jax.study.plan import ReproduceConfig, programs, studies
 from emrld_jax.study.programs import Program
-from tests.analysis.conftest import ITERATIONS, write, write_run
+from tests.analysis.conftest import ITERATIONS, table, write, write_run
 from tests.conftest import Command
 
 
@@ -197,6 +198,50 @@ def test_improvements_count_pairs_of_runs(tmp_path: Path) -> None:
     assert "| point2d, optimal | emrld | maml | 0.75 [" in tables.improvements_markdown(
         groups_in(tmp_path)
     )
+
+
+def test_each_seed_has_a_line_with_its_own_figures(tmp_path: Path) -> None:
+    for seed, value in enumerate((40.0, 60.0)):
+        write_run(tmp_path / f"a{seed}", seed=seed, value=value)
+    run = write_run(tmp_path / "b", value=5.0, algo="maml", seed=3)
+    write(run / "results.json", {"train": table(5.0, 100.0), "test": None})
+    first, second, third = csv.DictReader(tables.seeds_csv(groups_in(tmp_path)).splitlines())
+    assert [first["seed"], second["seed"], third["seed"]] == ["0", "1", "3"]
+    assert (second["environment"], second["algorithm"]) == ("point2d", "emrld")
+    assert float(first["training_return_after"]) == 40.0
+    assert float(second["training_return_after"]) == 60.0
+    assert float(second["training_return_before"]) == 0.0
+    assert float(second["held_out_return_after"]) == 50.0  # 10 less, as it is made up
+    assert float(second["held_out_success_after"]) == 0.5
+    assert (third["demonstrations"], third["held_out_return_after"]) == ("none", "")
+
+
+def test_profiles_are_those_over_tasks_and_draw_whole_runs(
+    tmp_path: Path, drawn: list[Figure]
+) -> None:
+    returns = np.array([[0.0, 10.0, 20.0], [0.0, 40.0, 30.0]])  # of two seeds on three tasks
+    for seed, own in enumerate(returns):
+        run = write_run(tmp_path / f"a{seed}", seed=seed)
+        results = table(float(own.mean()), 100.0)
+        results["stages"][1]["return_per_task"] = own.tolist()
+        write(run / "results.json", {"train": table(0.0, 100.0), "test": results})
+    write_run(tmp_path / "b", environment="two_wheeled")  # made before tasks were written down
+    figures.draw_profiles(groups_in(tmp_path), tmp_path / "x")
+    axes, other = drawn[0].axes
+    assert axes.get_title() == "point2d, optimal demonstrations"
+    assert labels(axes) == ["emrld (2)"]
+    (line,) = axes.lines
+    above, shares = points(line).T
+    np.testing.assert_allclose(shares, performance_profile(returns.T, above).value)
+    at = np.abs(above - 25.0).argmin()
+    assert (shares[0], shares[-1]) == (1.0, 0.0)
+    assert shares[at] == pytest.approx(2 / 6)
+    (band,) = axes.collections
+    ends = band.get_paths()[0].vertices
+    near = ends[np.isclose(ends[:, 0], above[at]), 1]
+    # of resamples of two runs one in four has only the first, with none of its tasks above
+    np.testing.assert_allclose([near.min(), near.max()], [0.0, 2 / 3])
+    assert other.get_title() == "two_wheeled, optimal demonstrations: no held-out tasks"
 
 
 def test_pictures_are_written_as_png_and_svg(tmp_path: Path) -> None:
