@@ -47,9 +47,9 @@ def _commands(before: Path) -> list[dict[str, Any]]:
     """What earlier commands were; a file of before there was a list of them tells of one."""
     try:
         found = json.loads(before.read_text())
-        listed = found.get("commands", [{"command": found["command"]}])
+        listed = found["commands"] if "commands" in found else [{"command": found["command"]}]
         return [each for each in listed if isinstance(each["command"], str)]
-    except (OSError, ValueError, TypeError, KeyError, AttributeError):
+    except (OSError, ValueError, TypeError, KeyError):
         return []  # none is there, or it is damaged
 
 

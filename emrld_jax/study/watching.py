@@ -70,7 +70,7 @@ class Watch:
         for folder in program.folders:
             if not folder.finished:
                 return f"{_standing(folder)} of {self._programs[program]} meta-iterations"
-        return "finished"
+        return "trained, being evaluated" if program.steps else "finished"
 
 
 def _standing(folder: RunFolder) -> str:

@@ -392,6 +392,8 @@ def test_the_time_left_is_shared_out_by_what_is_done(tmp_path: Path) -> None:
     assert "point2d, emrld, optimal demonstrations: 0 of 4 meta-iterations" in text
     watch([own], 101.0)
     assert console.export_text() == ""  # not so soon again
+    watch([own._replace(seeds=(0,), steps=3)], 200.0)
+    assert "optimal demonstrations: trained, being evaluated" in console.export_text()
 
 
 def configured(own: Program) -> TrainConfig:

@@ -232,12 +232,12 @@ def test_profiles_are_those_over_tasks_and_draw_whole_runs(
     assert labels(axes) == ["emrld (2)"]
     (line,) = axes.lines
     above, shares = points(line).T
-    np.testing.assert_allclose(shares, performance_profile(returns.T, above).value)
+    np.testing.assert_allclose(shares, performance_profile([*returns.T], above).value)
     at = np.abs(above - 25.0).argmin()
     assert (shares[0], shares[-1]) == (1.0, 0.0)
     assert shares[at] == pytest.approx(2 / 6)
     (band,) = axes.collections
-    ends = band.get_paths()[0].vertices
+    ends = np.asarray(band.get_paths()[0].vertices, float)
     near = ends[np.isclose(ends[:, 0], above[at]), 1]
     # of resamples of two runs one in four has only the first, with none of its tasks above
     np.testing.assert_allclose([near.min(), near.max()], [0.0, 2 / 3])
@@ -293,7 +293,7 @@ def test_all_figures_from_one_command_that_is_stopped_once(
     done = command("reproduce", *arguments)
     assert done.returncode == 0, done.stdout + done.stderr
     assert results.stat().st_mtime_ns == trained
-    for name in ("curves_iterations", "sensitivity", "ablation", "trajectories"):
+    for name in ("curves_iterations", "sensitivity", "ablation", "trajectories", "profiles"):
         for suffix in (".svg", ".png"):
             assert (out / f"{name}{suffix}").stat().st_size > 500
     rows = list(csv.DictReader((out / "results.csv").read_text().splitlines()))
@@ -301,6 +301,7 @@ def test_all_figures_from_one_command_that_is_stopped_once(
     # the sensitivity of EMRLD-WS takes the curves' run of it
     others = {("point2d", "emrld_ws", "1"), ("two_wheeled_drift", "emrld", "1")}
     assert found == {("point2d", "emrld", "1"), *others}
+    assert (out / "seeds.csv").read_text().count("\n") == 1 + 3
     steps = list(csv.DictReader((out / "adaptation_steps.csv").read_text().splitlines()))
     assert {row["environment"] for row in steps} == {"point2d", "two_wheeled_drift"}
     assert all(float(row["return_2"]) >= 0 for row in steps)
@@ -310,6 +311,18 @@ def test_all_figures_from_one_command_that_is_stopped_once(
     study = json.loads((out / "study.json").read_text())
     assert study["runs"] == 3 + 2 * 8 + 2
     assert 0 < study["cpu_hours"] < 2 * study["process_hours"]
+    assert [each["figure"] for each in study["commands"]] == ["all"]
+
+
+def test_all_algorithms_of_the_paper_train_in_a_fast_study(
+    command: Command, tmp_path: Path
+) -> None:
+    chosen = ("envs=[point2d]", "qualities=[optimal]", "steps=0", f"out={tmp_path}")
+    done = command("reproduce", "fast=true", *chosen)
+    assert done.returncode == 0, done.stdout + done.stderr
+    rows = list(csv.DictReader((tmp_path / "seeds.csv").read_text().splitlines()))
+    trained = sorted(row["algorithm"] for row in rows)  # a seed each
+    assert trained == ["emrld", "emrld_ws", "gmps", "maml", "meta_bc"]
 
 
 def test_a_launcher_that_is_not_installed_is_refused_with_its_extra(
