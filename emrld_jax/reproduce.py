@@ -32,7 +32,7 @@ if TYPE_CHECKING:
 EXAMPLES = (
     "figure=curves envs=[point2d] seeds=3",
     "figure=all seeds=5 out=results",
-    "figure=all fast=true out=smoke",
+    "envs=[point2d] qualities=[optimal] fast=true out=smoke",
     "figure=curves draw=true",
 )
 
