@@ -64,7 +64,7 @@ def draw_profiles(groups: Sequence[Group], path: Path) -> None:
     for axes, title, lines in panels:
         returns = [np.array(found) for line in lines if (found := _per_task(line.group))]
         if not returns:
-            axes.set_title(f"{title}: no held-out tasks", fontsize=10)
+            axes.set_title(f"{title}{': no held-out tasks' * bool(lines)}", fontsize=10)
             continue
         low, high = min(each.min() for each in returns), max(each.max() for each in returns)
         margin = 0.02 * (high - low) or 1.0  # below the lowest, so that lines begin with all
