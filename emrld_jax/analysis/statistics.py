@@ -7,7 +7,7 @@ each column. Intervals are percentiles of what the resamples give; a seed makes 
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -70,23 +70,28 @@ def aggregate(
 
 def pointwise(
     curves: np.ndarray,
+    statistic: Callable[[np.ndarray], np.ndarray] = iqm,
     seed: int = 0,
     resamples: int = RESAMPLES,
     level: float = LEVEL,
 ) -> Estimate:
-    """The interquartile mean over runs at each point of their curves, [N, X], with intervals, [X].
+    """A statistic over runs at each point of their curves, [N, X], with intervals, [X].
 
     Whole curves are drawn. Of one run the intervals are NaN.
 
+    Args:
+        curves: [N, X].
+        statistic: of the last axis, [.., N] -> [..].
+
     Raises:
-        ValueError: there is no curve, or one has a NaN.
+        ValueError: of the interquartile mean, if there is no curve or one has a NaN.
     """
-    value = iqm(curves.T)
+    value = statistic(curves.T)
     if len(curves) < 2:
         return Estimate(value, np.full_like(value, np.nan), np.full_like(value, np.nan))
     index = _draws(np.random.default_rng(seed), len(curves), resamples)
     pieces = np.array_split(curves, -(-curves.shape[1] // PIECE), axis=1)
-    drawn = np.concatenate([iqm(piece.T[:, index]) for piece in pieces])  # [X, R]
+    drawn = np.concatenate([statistic(piece.T[:, index]) for piece in pieces])  # [X, R]
     return Estimate(value, *_bounds(drawn.T, level))
 
 

@@ -109,12 +109,11 @@ def _write_report(name: str, grouped: Grouped, out: Path, console: Console) -> N
     """The tables and the page of one comparison, if it has a line."""
     if not grouped.groups:
         return
-    for note in grouped.notes:
-        tell(console, f"note: {note}")
     write_text(out / f"{name}.csv", tables.results_csv(grouped.groups))
     write_text(out / f"{name}.md", tables.results_markdown(grouped.groups))
     write_text(out / SEEDS[name], tables.seeds_csv(grouped.groups))
-    write_report(grouped, out / REPORTS[name], f"Reproduction: {name}")
+    for note in write_report(grouped, out / REPORTS[name], f"Reproduction: {name}"):
+        tell(console, f"note: {note}")
 
 
 def _write_adaptation(groups: Sequence[Group], config: ReproduceConfig, console: Console) -> None:

@@ -15,7 +15,7 @@ from matplotlib.patches import Circle
 from emrld_jax.analysis.curves import curve
 from emrld_jax.analysis.groups import Group, on_each_problem
 from emrld_jax.analysis.scores import LAST, demonstrated
-from emrld_jax.analysis.statistics import mean, pointwise
+from emrld_jax.analysis.statistics import pointwise
 from emrld_jax.runs.config import ConfigError
 from emrld_jax.runs.episodes import FINAL, read_episodes
 from emrld_jax.runs.panels import BEFORE, save
@@ -83,7 +83,7 @@ def draw_profiles(groups: Sequence[Group], path: Path) -> None:
 def _profile(axes: Axes, line: Line, returns: np.ndarray, above: np.ndarray) -> None:
     """One line with its interval; returns are [runs, tasks]."""
     each = (returns[:, :, None] > above).mean(axis=1)
-    found = pointwise(each, mean)
+    found = pointwise(each, lambda shares: np.asarray(shares.mean(axis=-1)))
     axes.fill_between(above, found.low, found.high, color=line.color, alpha=0.15, linewidth=0)
     label = f"{line.label} ({len(returns)})"
     axes.plot(above, found.value, color=line.color, linewidth=1.8, label=label)

@@ -121,6 +121,11 @@ def test_intervals_of_curves_are_those_of_their_points() -> None:
     assert (found.low[1], found.high[1]) == (5.0, 5.0)
     assert (found.low[0], found.high[0]) == (0.0, 4.0)  # each of 1 in 27 resamples: 3.7 %
 
+    apart = np.array([[0.0], [0.0], [0.0], [4.0]])
+    shares = pointwise(apart, lambda x: np.asarray(x.mean(axis=-1)))
+    assert shares.value == [1.0]  # where the interquartile mean is 0
+    assert (shares.low[0], shares.high[0]) == (0.0, 3.0)  # four of the last: 0.4 %; three: 5 %
+
 
 def test_a_performance_profile() -> None:
     # above 0.25: 4 of 5 and 4 of 5; above 0.55: 2 of 5 and 3 of 5 (rliable: 0.8, 0.5)
