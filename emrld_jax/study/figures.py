@@ -145,7 +145,7 @@ def draw_trajectories(groups: Sequence[Group], path: Path) -> list[str]:
         axes.set(aspect="equal", xlim=(-0.6, 2.7), ylim=(-1.1, 2.2))
         axes.grid(alpha=0.2)
     grid.flat[0].set_ylabel("y (m)")
-    figure.suptitle("Drift -0.65 rad a step. Gray: before adaptation; dashed: the demonstration")
+    figure.suptitle("Drift -0.65 rad a step. Gray: before adaptation; blue: after; dashed: the demonstration")
     save(figure, path)
     return left_out
 
