@@ -105,6 +105,8 @@ def main() -> int:
         raise ConfigError("backend has no effect with run: a run has its own")
     if any(number % 2 for number in config.simulations):
         raise ConfigError(f"simulations={config.simulations}: even numbers, for two directions")
+    if not config.num_seeds:
+        raise ConfigError("num_seeds=[] is not allowed: name one number or more")
     jax.config.update("jax_enable_compilation_cache", False)  # compiling is measured too
     if config.devices > 1:
         split_cpu(config.devices)
@@ -118,8 +120,9 @@ def main() -> int:
             if found:
                 print(body(found), flush=True)  # the whole takes minutes
             rows += found
-    finally:  # also what was measured before an interruption
-        _write(bench, config, rows)
+    finally:
+        if rows:  # also what was measured before an interruption
+            _write(bench, config, rows)
     return 0
 
 

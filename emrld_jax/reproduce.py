@@ -109,7 +109,7 @@ def _carry_out(config: ReproduceConfig, planned: Sequence[Study]) -> int:
             tell(console, "stopped; the same command goes on where it was")
             return outcome.exit_code
         for program, log in outcome.failed:
-            words = f"see {log}" if log.is_file() else f"it is not continued by {config.launcher}"
+            words = f"see {log}" if log else f"it is not continued by {config.launcher}"
             tell(console, f"not finished: {program.name}; {words}")
             for folder in program.diverged:
                 tell(console, f"  {folder.path} diverged")

@@ -117,7 +117,7 @@ def read_evaluations(
     found, damaged = {}, {}
     for path in sorted(folder.evaluations.glob("*/evaluation.json")):
         try:
-            entry = _evaluation(path)
+            entry = read_evaluation(path)
         except ConfigError as error:
             damaged[path.parent] = str(error)
             continue
@@ -126,7 +126,12 @@ def read_evaluations(
     return found, damaged
 
 
-def _evaluation(path: Path) -> dict[str, Any]:
+def read_evaluation(path: Path) -> dict[str, Any]:
+    """An `evaluation.json`.
+
+    Raises:
+        ConfigError: the file cannot be read, or lacks something.
+    """
     entry = _json(path)
     _check_stages(path, entry)
     if type(entry.get("iteration")) is not int:

@@ -64,7 +64,8 @@ def draw(
     time = datetime.now(UTC).isoformat(timespec="seconds")
     file = out / "study.json"
     write_json(file, origin(file, loaded.runs, every, config.figure, time))
-    tell(console, f"{out}: figures, tables ({RESULTS}.md, .csv), {REPORTS[RESULTS]}")
+    pages = [name for name in REPORTS.values() if (out / name).is_file()]
+    tell(console, f"{out}: figures, tables (.md, .csv), {', '.join(pages)}")
     return not damaged
 
 
@@ -72,8 +73,8 @@ def _remedy(damaged: Skipped) -> str:
     """What to do about a run that is finished and cannot be read."""
     file = RunFolder(damaged.path).results
     if damaged.reason.startswith(file.name):
-        return f". Remove {file}, and the same command evaluates the run again"
-    return f". Move {damaged.path} away, and the same command trains it again"
+        return f". Remove {file}: the command that trains the run then evaluates it again"
+    return f". Move {damaged.path} away: the command that trains it then does so again"
 
 
 def _draw(figure: str, groups: Sequence[Group], out: Path) -> list[str]:

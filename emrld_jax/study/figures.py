@@ -62,16 +62,16 @@ def draw_profiles(groups: Sequence[Group], path: Path) -> None:
     """
     figure, panels = _problems(groups)
     for axes, title, lines in panels:
-        returns = [np.array(found) for line in lines if (found := _per_task(line.group))]
-        if not returns:
+        found = [(line, runs) for line in lines if (runs := _per_task(line.group))]
+        if not found:
             axes.set_title(f"{title}{': no held-out tasks' * bool(lines)}", fontsize=10)
             continue
-        low, high = min(each.min() for each in returns), max(each.max() for each in returns)
+        every = np.concatenate([run for _, runs in found for run in runs])
+        low, high = every.min(), every.max()
         margin = 0.02 * (high - low) or 1.0  # below the lowest, so that lines begin with all
         above = np.linspace(low - margin, high + margin, THRESHOLDS)
-        for line in lines:
-            if found := _per_task(line.group):
-                _profile(axes, line, np.array(found), above)
+        for line, runs in found:
+            _profile(axes, line, runs, above)
         axes.set_title(title, fontsize=10)
         axes.set(xlabel="return after adaptation", ylabel="share above", ylim=(-0.02, 1.02))
         axes.grid(alpha=0.25)
@@ -80,19 +80,19 @@ def draw_profiles(groups: Sequence[Group], path: Path) -> None:
     save(figure, path)
 
 
-def _profile(axes: Axes, line: Line, returns: np.ndarray, above: np.ndarray) -> None:
-    """One line with its interval; returns are [runs, tasks]."""
-    each = (returns[:, :, None] > above).mean(axis=1)
+def _profile(axes: Axes, line: Line, runs: Sequence[np.ndarray], above: np.ndarray) -> None:
+    """One line with its interval; of each run the returns on its tasks."""
+    each = np.array([(returns[:, None] > above).mean(axis=0) for returns in runs])
     found = pointwise(each, lambda shares: np.asarray(shares.mean(axis=-1)))
     axes.fill_between(above, found.low, found.high, color=line.color, alpha=0.15, linewidth=0)
-    label = f"{line.label} ({len(returns)})"
+    label = f"{line.label} ({len(runs)})"
     axes.plot(above, found.value, color=line.color, linewidth=1.8, label=label)
 
 
-def _per_task(group: Group) -> list[list[float]]:
+def _per_task(group: Group) -> list[np.ndarray]:
     """Returns on held-out tasks after adaptation, of those of a group's runs that have some."""
     tables = [stages[LAST] for run in group.runs if (stages := run.stages("test"))]
-    return [table["return_per_task"] for table in tables if "return_per_task" in table]
+    return [np.array(table["return_per_task"]) for table in tables if "return_per_task" in table]
 
 
 def _problems(groups: Sequence[Group]) -> tuple[Figure, list[tuple[Axes, str, list[Line]]]]:
@@ -145,7 +145,9 @@ def draw_trajectories(groups: Sequence[Group], path: Path) -> list[str]:
         axes.set(aspect="equal", xlim=(-0.6, 2.7), ylim=(-1.1, 2.2))
         axes.grid(alpha=0.2)
     grid.flat[0].set_ylabel("y (m)")
-    figure.suptitle("Drift -0.65 rad a step. Gray: before adaptation; blue: after; dashed: the demonstration")
+    figure.suptitle(
+        "Drift -0.65 rad a step. Gray: before adaptation; blue: after; dashed: the demonstration"
+    )
     save(figure, path)
     return left_out
 

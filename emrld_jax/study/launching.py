@@ -13,7 +13,7 @@ from typing import NamedTuple
 
 from emrld_jax.runs.signals import StopSignals
 from emrld_jax.study.programs import Program
-from emrld_jax.study.running import POLL_S, Outcome, log_of, run_all
+from emrld_jax.study.running import POLL_S, Outcome, run_all
 
 
 class Sweep(NamedTuple):
@@ -70,7 +70,7 @@ def launch_all(
         return Outcome([], stop.exit_code)
     trained = [p for p in programs if all(folder.finished for folder in p.folders)]
     evaluated = run_all(trained, watch)
-    left = [(p, log_by_program.get(p, log_of(p))) for p in programs if p not in trained]
+    left = [(p, log_by_program.get(p)) for p in programs if p not in trained]
     return Outcome([*evaluated.failed, *left], evaluated.exit_code)
 
 

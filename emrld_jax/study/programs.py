@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import os
 import re
 import shutil
@@ -11,6 +10,8 @@ from itertools import groupby, product
 from pathlib import Path
 from typing import NamedTuple
 
+from emrld_jax.analysis.run_files import read_evaluation
+from emrld_jax.runs.config import ConfigError
 from emrld_jax.runs.folder import RunFolder
 
 BEFORE_CONFIG = (".lock", "provenance.json")  # files of a run that has no config.yaml yet
@@ -37,12 +38,12 @@ def is_evaluation(name: str, steps: int, *, fast: bool = False) -> bool:
 
 
 def _is_whole(evaluation: Path) -> bool:
-    """Whether a file is that of an evaluation, not cut off."""
+    """Whether tables can be made of an evaluation: it is not cut off, say."""
     try:
-        entry = json.loads(evaluation.read_text())
-    except (OSError, ValueError):
+        read_evaluation(evaluation)
+    except ConfigError:
         return False
-    return isinstance(entry, dict) and bool(entry.get("stages"))
+    return True
 
 
 class Program(NamedTuple):

@@ -6,7 +6,6 @@ import json
 import os
 import signal
 import subprocess
-import sys
 import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager, suppress
@@ -22,19 +21,12 @@ POLL_S = 0.2
 LEDGER = "compute.jsonl"  # in the folder of the runs: what each process took
 ALONE = "--xla_cpu_multi_thread_eigen=false"  # faster for a program that has one core to itself
 SOON = {"JAX_DISABLE_MOST_OPTIMIZATIONS": "1"}  # compiled in half the time: all that fast ones do
-# before a command, on Linux: it is asked to stop when the process that starts it is gone, also if
-# that was killed. (The child does it by itself: Popen's preexec_fn is not safe beside threads.)
-FOLLOWING = (
-    "import ctypes, os, signal, sys\n"
-    "ctypes.CDLL(None).prctl(1, signal.SIGTERM)\n"  # 1: PR_SET_PDEATHSIG, which exec keeps
-    "os.execv(sys.argv[1], sys.argv[1:])"
-)
 
 
 class Outcome(NamedTuple):
     """How carrying out programs ended."""
 
-    failed: list[tuple[Program, Path]]  # with the file that says why
+    failed: Sequence[tuple[Program, Path | None]]  # with the file that says why, if it was tried
     exit_code: int  # of a signal that stopped it; else 0
 
 
@@ -58,7 +50,7 @@ class _Job:
         command, self._began = self._left.pop(0), time.monotonic()
         with self.log.open("a") as out:
             self._process = subprocess.Popen(
-                _following(command),
+                command,
                 env=HUGE_PAGES | os.environ | self._flags(),
                 stdin=subprocess.DEVNULL,
                 stdout=out,
@@ -108,12 +100,6 @@ class _Job:
                 self._process.send_signal(signal.SIGTERM)
 
 
-def _following(command: Sequence[str]) -> list[str]:
-    """The command, so that it stops when this process is gone, where the system can do that."""
-    alone = [sys.executable, "-I", "-S", "-c", FOLLOWING] if sys.platform == "linux" else []
-    return [*alone, *command]
-
-
 def took(runs: Path, programs: Sequence[Program]) -> tuple[dict[str, float], int]:
     """Hours that processes took for programs, trainings and evaluations together.
 
@@ -161,7 +147,8 @@ def run_all(
 ) -> Outcome:
     """Carries out the programs that are not finished, as many at a time as there are cores.
 
-    However it ends, none of them goes on afterwards; on Linux not even if this process is killed.
+    However it ends, none of them goes on afterwards, unless this process is killed: then they go on
+    to their end.
 
     Args:
         programs: what to carry out.

@@ -88,8 +88,9 @@ class Mjx:
             qpos=body[:nq], qvel=body[nq : nq + nv], qacc_warmstart=body[nq + nv :], ctrl=control
         )
         # MJX relies on ranks being promoted, which callers may have forbidden; and an accelerator's
-        # own products, of 10 bits, are no physics
-        with jax.numpy_rank_promotion("allow"), jax.default_matmul_precision("float32"):
+        # own products, of 10 bits, are no physics, unless they were asked for
+        setting: str | None = jax.config.jax_default_matmul_precision  # type: ignore[attr-defined]
+        with jax.numpy_rank_promotion("allow"), jax.default_matmul_precision(setting or "float32"):
             data, _ = jax.lax.scan(
                 lambda data, _: (mjx.step(self._model, data), None), data, length=self._frame_skip
             )

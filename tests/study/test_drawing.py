@@ -145,8 +145,8 @@ def test_a_damaged_run_is_named_with_what_to_do(
     capsys.readouterr()
     assert study("figure=curves", "algos=[emrld,gmps]", finish=False) == 1
     said = " ".join(capsys.readouterr().out.split())
-    assert f"Remove {results}, and the same command evaluates the run again" in said
-    assert f"Move {place / 'gmps-optimal/seed0'} away, and the same command trains it" in said
+    assert f"Remove {results}: the command that trains the run then evaluates it again" in said
+    assert f"Move {place / 'gmps-optimal/seed0'} away: the command that trains it" in said
 
 
 def test_runs_without_a_whole_evaluation_are_told(
