@@ -11,9 +11,11 @@ import numpy as np
 import pytest
 
 import envs_jax
-from benchmarks import ablation, communication, compare, dense, growth, targets
+from benchmarks import ablation, communication, compare, dense, growth, precision, targets
 from benchmarks.flops import matrix_flops
 from benchmarks.jobs import job
+from emrld_jax.runs.cli import train_config
+from emrld_jax.runs.setup import set_up
 from emrld_jax.study.programs import Program
 
 
@@ -134,3 +136,13 @@ def test_a_controller_without_noise_returns_the_sum_of_its_distances() -> None:
 
     assert dense.controlled_return(env, 1e-9, exact) == pytest.approx(-19.0, abs=1e-2)
     assert dense.controlled_return(env, 1e-9, short) == pytest.approx(-19.0 - 81 * 0.1, abs=1e-2)
+
+
+def test_on_a_cpu_products_are_in_float32_whatever_is_asked_for() -> None:
+    small = ["policy.hidden_sizes=[8]", "adapt.num_episodes=2", "env.horizon=10"]
+    setup = set_up(train_config(["env=point2d", "env.reward=dense", *small]))
+    rows = {row.what: row.values for row in precision.compare(setup, 2)}
+    for what in ("the outer loss's gradient", "a Fisher-vector product of it"):
+        exact, default = (rows[f"{name}: error of {what}"] for name in ("float32", "default"))
+        assert exact == default
+        assert 0 < exact[0] < 1e-4
