@@ -17,7 +17,7 @@ from hydra import initialize_config_dir
 from hydra.core.global_hydra import GlobalHydra
 
 from emrld_jax.runs import cli
-from emrld_jax.runs.config import ConfigError, TrainConfig, check_config
+from emrld_jax.runs.config import ConfigError, TrainConfig, check_config, make_env
 from emrld_jax.runs.folder import RunFolder
 from emrld_jax.runs.help_texts import asks_for_help
 from emrld_jax.runs.usage import did_you_mean, usage
@@ -59,7 +59,9 @@ def main() -> int:
         _check_launcher(config.launcher)
     planned = studies(config)
     for program in programs(planned):
-        _configured(program)  # what is wrong with a training is told before any begins
+        own = _configured(program)  # what is wrong with a training is told before any begins
+        if not config.draw and config.launcher is None:
+            make_env(own.env)  # what is not installed, too
     return _carry_out(config, planned)
 
 

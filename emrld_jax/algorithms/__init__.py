@@ -55,7 +55,7 @@ def names() -> tuple[str, ...]:
 
 def uses(name: str, setting: str) -> bool:
     """Whether this algorithm's results depend on the setting of this full name."""
-    return setting not in _UNUSED[name]
+    return setting not in _UNUSED.get(name, ())
 
 
 def takes_demonstrations(name: str) -> bool:

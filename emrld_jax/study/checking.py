@@ -35,10 +35,17 @@ def check_runs(
         commit, of other demonstrations, or of code with changes that were not committed.
 
     Raises:
-        ConfigError: a run differs; names the setting, what it is there and what it should be.
+        ConfigError: a run differs; names the setting, what it is there and what it should be. Or a
+            finished run's settings are not known.
     """
     notes: list[str] = []
     for program in programs:
+        for folder in program.folders:
+            if folder.finished and not folder.config.is_file():
+                raise ConfigError(
+                    f"{folder.path} is finished, but has no config.yaml, so it is not known what "
+                    "was trained: move it away, and it is trained again"
+                )
         if any(folder.config.is_file() for folder in program.folders):
             notes += _check(program, configured(program))
     return notes

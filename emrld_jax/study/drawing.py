@@ -52,7 +52,8 @@ def draw(
         return False
     for study in shown:
         if config.figure in (study.figure, "all"):
-            for note in _draw(study.figure, _grouped(loaded, study.programs).groups, out):
+            groups = _grouped(loaded, study.programs).groups
+            for note in _draw(study.figure, groups, out):
                 tell(console, note)
     for name, own in _reports(shown, loaded).items():
         _write_report(name, _grouped(loaded, own), out, console)
@@ -81,7 +82,7 @@ def _draw(figure: str, groups: Sequence[Group], out: Path) -> list[str]:
     """One figure of the paper, if there is something to show; what to know of it."""
     path = out / figure
     if not groups:
-        return []
+        return [f"{figure}: nothing of it is finished"]
     if figure == "curves":
         for against in figures.AXES:
             figures.draw_curves(groups, against, path.with_name(f"{path.name}_{against}"))

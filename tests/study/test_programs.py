@@ -413,6 +413,14 @@ def test_runs_that_are_there_are_taken_if_they_are_the_same(tmp_path: Path) -> N
     assert "cannot be used: " in check_runs([own], configured)[2]
 
 
+def test_a_finished_run_whose_settings_are_lost_is_refused(tmp_path: Path) -> None:
+    own = program(tmp_path, seeds=(0,))
+    begin(own.folders[0].path, finished=True)
+    own.folders[0].config.unlink()
+    with pytest.raises(ConfigError, match=r"seed0 is finished, but has no config.yaml"):
+        check_runs([own], configured)
+
+
 def test_a_run_of_other_settings_is_refused(tmp_path: Path) -> None:
     own = begun(tmp_path, meta__max_kl=0.5)
     with pytest.raises(
