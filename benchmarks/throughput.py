@@ -115,25 +115,29 @@ def main() -> int:
     steps = bench.steps // bench.tasks
     peak = matrix_rate(bench.tasks, steps, wide, config.repetitions)
     rows: list[Row] = []
+    complete = False
     try:
         for found in _measurements(bench, config, peak):
             if found:
                 print(body(found), flush=True)  # the whole takes minutes
             rows += found
+        complete = True
     finally:
         if rows:  # also what was measured before an interruption
-            _write(bench, config, rows)
+            _write(bench, config, rows, complete)
     return 0
 
 
-def _write(bench: Bench, config: ThroughputConfig, rows: list[Row]) -> None:
+def _write(bench: Bench, config: ThroughputConfig, rows: list[Row], complete: bool) -> None:
     ran = bench.setup.config
-    record = {**origin("throughput"), "rows": [row._asdict() for row in rows]}
+    found = [row._asdict() for row in rows]
+    record = {**origin("throughput"), "complete": complete, "rows": found}
+    text = table(rows) if complete else f"Stopped before its end.\n\n{table(rows)}"
     where = "trained" if config.run else config.reward
     numbers = "-".join(map(str, config.num_seeds))
     seeds = f"-seeds{numbers}" * (config.num_seeds != [1])
     backend = f"-{config.backend}" if config.backend else ""
-    write_record(named(f"throughput-{ran.env.name}-{where}{backend}{seeds}"), record, table(rows))
+    write_record(named(f"throughput-{ran.env.name}-{where}{backend}{seeds}"), record, text)
 
 
 def _measurements(bench: Bench, config: ThroughputConfig, peak: Row) -> Iterator[list[Row]]:

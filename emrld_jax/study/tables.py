@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import csv
 import io
+import math
 from collections.abc import Sequence
 from functools import partial
 from itertools import product
@@ -146,7 +147,8 @@ def improvements_markdown(groups: Sequence[Group]) -> str:
             where = "; ".join(", ".join(problem) for problem in comparison.problems)
             for first, second, probability in comparison.improvements:
                 value, low, high = (float(x) for x in probability)
-                words = f"{value:.2f} [{low:.2f}, {high:.2f}]"
+                interval = "" if math.isnan(low) else f" [{low:.2f}, {high:.2f}]"  # of one seed
+                words = f"{value:.2f}{interval}"
                 found.setdefault((where, first, second), {})[split] = words
     for (where, first, second), by_split in found.items():
         own = " | ".join(by_split.get(split, "--") for split in SPLITS)
